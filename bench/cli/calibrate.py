@@ -27,8 +27,8 @@ from detector.calibration.gate import pair_faults
 from textfiles.text import plural
 
 if TYPE_CHECKING:
+    from bench.report.calibration import PageOf
     from detector import Calibration, Part, Record
-    from reports.page import Page
 
 CHECK_VIEWS, SHOWN = 5, 3  # views of a check; pictures that are left out
 say = partial(print, flush=True)  # for the person at the rig
@@ -53,7 +53,7 @@ def cameras(given: argparse.Namespace) -> int:
     with working("fitting the cameras"):
         result = bench.calibrate_pair(views, **lens)
     at_mm = given.distance
-    page = partial(cameras_page, result, at_mm=at_mm)
+    page = partial(cameras_page, result, at_mm)
     _finish(given, result.part, page, inputs=paths, cameras=identity | named)
     for camera, coverage in result.coverage.items():
         if coverage.missing:
@@ -270,7 +270,7 @@ def _views_of(
 def _finish(
     given: argparse.Namespace,
     part: Callable[[Record], Part | Calibration] | None,
-    page: Callable[[Record, str], Page] | None = None,
+    page: Callable[[], PageOf] | None = None,
     **known: Any,
 ) -> None:
     """The end of each step and check, with what its record says: the step's file, whole or not at
@@ -286,7 +286,7 @@ def _finish(
         from bench.report.calibration import with_kind
         from reports.render import write_report
 
-        made = page(record, command_line())
+        made = page()(record, command_line())
         if given.rig:
             used = {"cameras", "arm"} if given.called == "calibrate world" else {"cameras"}
             made = with_kind(made, used, bench.load_rig(given.rig).rig.emulated)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -56,6 +56,7 @@ DISTANCES_M = np.linspace(0.7, 1.8, 23)
 HOLDS = "It still holds."
 CHECK = "Check of a calibration"
 Row = tuple[str, str, tuple[Score | None, ...]]
+PageOf = Callable[[Record, str], Page]  # of a step's record, and the command that repeats it
 LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
 ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
 
@@ -63,8 +64,6 @@ ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
 def _page(
     title: str,
     chapters: Chapters,
-    record: Record,
-    command: str,
     *,
     scores: Sequence[Row],
     columns: tuple[str, ...] = ("Found",),
@@ -72,7 +71,7 @@ def _page(
     missing: tuple[str, ...] | None = None,
     first: str = "",
     **banner: Any,
-) -> Page:
+) -> PageOf:
     """A step's page: scores and findings (None: not looked for), then the chapter ``first``; the
     rest folds. ``missing`` views may be None; ``banner`` are fields of a `Banner`.
     """
@@ -93,21 +92,25 @@ def _page(
         rows.append(("Views", "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
     board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, hints("calibration"))
-    who = {"day": record.made, "by": record.by or "not stated", "with": record.with_what}
-    files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
-    made = (
-        key_values("Made", {**who, **record.cameras}),
-        table("inputs", files),
-        Code("The command that repeats it", command),
-    )
     out = {"findings": ("What came out", (board, *wrong))}
     shown = out | ({first: chapters[first]} if first else {})
     behind = {anchor: chapter for anchor, chapter in chapters.items() if anchor != first}
-    folded = {**behind, "provenance": ("Provenance", made)}
     failed = any(score and score.verdict == "not met" for *_, found in rows for score in found)
-    banner = {"verdict": "not met" if failed else "no verdict", **banner}
-    day = f"{'checked' if title == CHECK else 'made'} {record.made}"
-    return page_of(title, day, Banner(kind="computed", **banner), shown, folded)
+    banner = {"kind": "computed", "verdict": "not met" if failed else "no verdict", **banner}
+
+    def page(record: Record, command: str) -> Page:
+        who = {"day": record.made, "by": record.by or "not stated", "with": record.with_what}
+        files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
+        made = (
+            key_values("Made", {**who, **record.cameras}),
+            table("inputs", files),
+            Code("The command that repeats it", command),
+        )
+        folded = {**behind, "provenance": ("Provenance", made)}
+        day = f"{'checked' if title == CHECK else 'made'} {record.made}"
+        return page_of(title, day, Banner(**banner), shown, folded)
+
+    return page
 
 
 def held(mm: float) -> PageVerdict:
@@ -145,9 +148,7 @@ def good(findings: Sequence[Finding], mm: float) -> tuple[PageVerdict, str]:
     return verdict, "Good enough." if verdict == "met" else said
 
 
-def cameras_page(
-    result: CamerasResult, record: Record, command: str, at_mm: float = WORKING_MM
-) -> Page:
+def cameras_page(result: CamerasResult, at_mm: float = WORKING_MM) -> PageOf:
     """Of `calibrate cameras`, judged at the distance where teats stand, wherever boards were."""
     near, far = result.shown_mm
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
@@ -182,8 +183,6 @@ def cameras_page(
             "coverage": ("What the views show", _coverage(result.coverage)),
             "pictures": ("Pictures", _pictures(result.views, result.joint)),
         },
-        record,
-        command,
         scores=scores,
         findings=result.findings,
         missing=missing,
@@ -213,7 +212,7 @@ def cameras_sentence(result: CamerasResult, at_mm: float = WORKING_MM) -> str:
     )
 
 
-def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
+def thermal_page(result: ThermalResult) -> PageOf:
     """Of `calibrate thermal` with a board."""
     fit, views, shown = result.joint.fit, result.views, {"thermal": result.coverage}
     missing = still_missing(shown)
@@ -227,8 +226,6 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
             "coverage": ("What the views show", _coverage(shown)),
             "pictures": ("Pictures", _pictures(views, result.joint)),
         },
-        record,
-        command,
         scores=(
             _figure_only("Corners miss by", f"{fit.rms_px:.2f} px", "over both cameras"),
             _figure_only("Its place is known to", f"{place} mm", "x, y, z"),
@@ -248,7 +245,7 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
     )
 
 
-def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
+def pairs_page(result: PairsResult) -> PageOf:
     """Of `calibrate thermal` with a table of point pairs."""
     left, right = both = (result.left, result.right)
     tables = []
@@ -262,8 +259,6 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     return _page(
         "Homographies from point pairs",
         {"pairs": ("Point pairs", tables)},
-        record,
-        command,
         scores=(("Pairs that count", "no limit", counted), ("They miss by", "no limit", missed)),
         columns=("Thermal to left", "Thermal to right"),
         findings=None,
@@ -283,7 +278,7 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     )
 
 
-def world_page(result: WorldResult, record: Record, command: str) -> Page:
+def world_page(result: WorldResult) -> PageOf:
     """Of `calibrate world`."""
     fit, comparison = result.fit, result.fit.comparison
     out_mm = comparison.held_out_mm
@@ -326,8 +321,6 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
             "fits": ("Fits", [models, residuals]),
             "volume": ("Over the working volume", [expected]),
         },
-        record,
-        command,
         scores=scores,
         findings=result.findings,
         first="residuals",
@@ -358,15 +351,11 @@ def _touched(
     return Figure(svg, caption, alt, wide=True)
 
 
-def check_page(
-    again: MeasuredBoard, findings: Sequence[Finding], record: Record, command: str
-) -> Page:
+def check_page(again: MeasuredBoard, findings: Sequence[Finding]) -> PageOf:
     """Of `calibrate check`: an existing calibration against a board seen today."""
     return _check(
         {"measured": ("The board, measured", [_measured_table(again)])},
         findings,
-        record,
-        command,
         scores=(
             _figure_only("Lengths against the print", f"{100 * (again.scale[0] - 1.0):+z.2f} %"),
             _figure_only("Distance of neighbours off by", f"{again.spacing_rms_mm:.3f} mm"),
@@ -383,9 +372,7 @@ def check_page(
     )
 
 
-def check_points_page(
-    again: PointsAgain, findings: Sequence[Finding], record: Record, command: str
-) -> Page:
+def check_points_page(again: PointsAgain, findings: Sequence[Finding]) -> PageOf:
     """Of `calibrate check --points`: an existing calibration against points touched today."""
     rms = np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1)))
     rows = np.column_stack([again.missed_mm, again.expected_mm])
@@ -400,8 +387,6 @@ def check_points_page(
             "measured": ("The points, measured", [points]),
         },
         findings,
-        record,
-        command,
         scores=(_figure_only("Points missed by", f"{rms:.2f} mm", f"{expected:.2f} mm expected"),),
         first="points",
         tested=f"An existing calibration on {plural(len(rows), 'point')} that the arm touched.",
@@ -414,7 +399,7 @@ def check_points_page(
     )
 
 
-def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, command: str) -> Page:
+def check_ends_page(found: CamerasCheck, decision: Decision) -> PageOf:
     """Of `calibrate check --ends`."""
     off = decision.verdict is Verdict.NOT_MET
     shown = table(
@@ -426,8 +411,6 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
     return _check(
         {"ends": ("Where the cameras show touched ends", [shown])},
         [Finding("cameras off", decision.sentence)] if off else [],
-        record,
-        command,
         scores=[_figure_only(o.name, f"{o.value:+z.2f} px", "") for o in found.offsets[:1]],
         first="ends",
         tested=f"An existing calibration on {found.ends} teat ends that the arm touched.",
@@ -440,13 +423,11 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
 def _check(
     chapters: Chapters,
     findings: Sequence[Finding],
-    record: Record,
-    command: str,
     *,
     cure: str,
     undecided: bool = False,
     **said: Any,
-) -> Page:
+) -> PageOf:
     """``said``: what else `_page` takes."""
     verdict, sentence, then = "met", HOLDS, "Nothing: go on measuring with it."
     if undecided:
@@ -455,7 +436,7 @@ def _check(
         named = "; ".join(finding.name for finding in findings)
         verdict, sentence, then = "not met", f"It no longer holds: {named}.", cure
     said = {"verdict": verdict, "sentence": sentence, "next_action": then, **said}
-    return _page(CHECK, chapters, record, command, findings=findings, **said)
+    return _page(CHECK, chapters, findings=findings, **said)
 
 
 def _next(findings: Sequence[Finding], missing: Sequence[str], then: str) -> str:

@@ -208,15 +208,14 @@ def _mean(difference: PairedDifference) -> str:
     return f"{difference.mean:+z.2f} mm{CAPPED if difference.capped else ''}"
 
 
-def _difference(difference: PairedDifference, form: str = ".2f") -> str:
+def _difference(difference: PairedDifference) -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
-    mean = f"{difference.mean:+z{form}}{CAPPED if difference.capped else ''}"
+    mean = f"{difference.mean:+z.2f}{CAPPED if difference.capped else ''}"
     if difference.low is None or difference.high is None:
         return mean
-    low, high = (f"{bound:+z{form}}" for bound in (difference.low, difference.high))
-    return f"{mean} ({low} to {high})"
+    return f"{mean} ({difference.low:+z.2f} to {difference.high:+z.2f})"
 
 
 def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
@@ -287,18 +286,21 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         whose = f": {_matter(one)}" if len(found) > 1 else ""
         came_out = (_scoreboard(one), _by_situation(one, number))
         shown |= {f"comparison-{number}": (f"What came out{whose}", came_out)}
-        sentence, success, distance, how, changed, compared = comparison_parts(one)
+        sentence, success, distance, how, changed, names = comparison_parts(one)
         reasons = gate_reasons(one)
         more = [Notes("All reasons", reasons)] if len(reasons) > MOST_REASONS else []
         why = "Why this verdict, and how it was compared"
         folded |= {
             f"changed-{number}": (f"Scenes that changed{whose}", [changed]),
             f"tables-{number}": (f"Each situation in figures{whose}", [success, distance]),
-            f"how-{number}": (f"{why}{whose}", [sentence, *more, how, compared]),
+            f"how-{number}": (f"{why}{whose}", [sentence, *more, how, names]),
         }
+    compared = "runs" if found[0].compared.gate.margin_rate is None else "campaigns"
+    if all(one.old.run.folder.resolve() == one.new.run.folder.resolve() for one in found):
+        compared = "detectors"
     damaged = any(run.damage for run in runs)
     page = page_of(
-        f"Comparison of {_compared(found)}",
+        f"Comparison of {compared}",
         "Paired differences on the same scenes",
         banner,
         shown,
@@ -358,13 +360,6 @@ def _called(one: Comparison) -> tuple[str, str]:
 def _short(one: Comparison) -> tuple[str, str]:
     old, new = _called(one)
     return old.removeprefix("the "), new.removeprefix("the ")
-
-
-def _compared(found: Sequence[Comparison]) -> str:
-    """What stands beside each other: detectors, or their runs or campaigns."""
-    if all(one.old.run.folder.resolve() == one.new.run.folder.resolve() for one in found):
-        return "detectors"
-    return "runs" if found[0].compared.gate.margin_rate is None else "campaigns"
 
 
 def _matter(one: Comparison) -> str:

@@ -216,7 +216,7 @@ def _behind(
         "detectors": ("Detectors compared", detectors_parts(run)),
         "baseline": ("Against the baseline", baseline),
         "accuracy": ("Errors", _accuracy_parts(run, rules, calibration)),
-        "poses": ("Poses", pose_parts(run, limit_mm, anchors_of(run))),
+        "poses": ("Poses", pose_parts(run, limit_mm)),
         "latency": ("Time", _latency_parts(run, rules)),
     }
     reference = (
@@ -241,11 +241,6 @@ def _behind(
         ),
     }
     return {anchor: (title, sections(of)) for anchor, (title, of) in pages.items()}
-
-
-def anchors_of(run: RunRecord) -> dict[str, str]:
-    """Each trial's link by its id."""
-    return {trial.id: f"#{trial_id(trial)}" for trial in run.trials}
 
 
 def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> str:
@@ -373,7 +368,7 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         yield Figure(svg, caption, "strips of signed errors", wide=True)
         title = f"By axis, situation and teat in figures, and tolerance limits, {detector}"
         yield Fold(title, tuple(accuracy_tables(run, detector, limit_mm, camera_from_world)))
-        yield from spread_parts(run, detector, limit_mm, anchors_of(run), camera_from_world)
+        yield from spread_parts(run, detector, limit_mm, camera_from_world)
     yield from limit_parts(run, calibration)
 
 
@@ -441,7 +436,14 @@ def _configured(title: str, entries: Mapping[str, object]) -> Iterator[Part]:
 
 def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
     """Who was tested, with what, when, and by which data."""
-    facts, chain = run.facts, _chain(run)
+    facts, head = run.facts, run.head
+    chain = {"record's digest": "none: the bench that wrote the record made no chain"}
+    if head is not None and head.number:
+        chain = {
+            "record's chain": f"{head.number} links",
+            "record's digest": head.wall_digest,
+            "record's digest without real time (repeats with the seed)": head.digest,
+        }
     for name, item in facts["items"].items():
         yield from _configured(f"Item under test: {name}", item)
     yield key_values(
@@ -533,14 +535,3 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
             **{f"{name} camera": who for name, who in fact["cameras"].items()},
         },
     )
-
-
-def _chain(run: RunRecord) -> dict[str, str]:
-    """The record's chain, by which `teatbench store check` finds a change."""
-    if run.head is None or not run.head.number:
-        return {"record's digest": "none: the bench that wrote the record made no chain"}
-    return {
-        "record's chain": f"{run.head.number} links",
-        "record's digest": run.head.wall_digest,
-        "record's digest without real time (repeats with the seed)": run.head.digest,
-    }

@@ -5,7 +5,7 @@ requirement.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import compress
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from bench.record.reader import RunRecord
 from bench.report.accuracy import precision_parts
 from bench.report.tables import covariance_of
+from bench.report.trials import anchors_of
 from bench.report.wording import NOT_MEASURED, id_of, table
 from bench.results.answers import LEFT_OUT
 from bench.results.error_rows import (
@@ -57,8 +58,8 @@ POSE_SET = "pose set"
 MAP_FROM = 9  # places: fewer make no map
 
 
-def pose_parts(run: RunRecord, limit_mm: float, anchors: Mapping[str, str]) -> Iterator[Part]:
-    """How the poses were chosen, and what depends on the place. ``anchors``: links by trial."""
+def pose_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
+    """How the poses were chosen, and what depends on the place."""
     chosen = run.facts.get(POSE_SET)
     if chosen:
         how = f"order: {chosen['order']}; seed of the script: {chosen['seed']}"
@@ -66,12 +67,13 @@ def pose_parts(run: RunRecord, limit_mm: float, anchors: Mapping[str, str]) -> I
     else:
         yield Paragraph("The poses are those of the recording; how they were chosen isn't in it.")
     for detector in run.detectors:
-        yield _map(error_rows(run, detector), detector, limit_mm, anchors)
+        yield _map(run, detector, limit_mm)
         yield from precision_parts(run, detector)
 
 
-def _map(rows: ErrorRows, detector: str, limit_mm: float, anchors: Mapping[str, str]) -> Part:
+def _map(run: RunRecord, detector: str, limit_mm: float) -> Part:
     """Each pose once, with the worst of its repeats."""
+    rows, anchors = error_rows(run, detector), anchors_of(run)
     places = pose_places(rows)
     if len(places) < MAP_FROM:
         return Paragraph(
@@ -191,14 +193,10 @@ VIEWS = (
 
 
 def spread_parts(
-    run: RunRecord,
-    detector: str,
-    limit_mm: float,
-    anchors: Mapping[str, str],
-    camera_from_world: Floats,
+    run: RunRecord, detector: str, limit_mm: float, camera_from_world: Floats
 ) -> Iterator[Part]:
-    """All of one detector. ``anchors``: links by trial; ``camera_from_world``: rotation."""
-    rows = error_rows(run, detector)
+    """All of one detector; ``camera_from_world`` (3, 3) turns into the right camera's axes."""
+    rows, anchors = error_rows(run, detector), anchors_of(run)
     distances = np.linalg.norm(rows.errors_mm, axis=1)
     names = sorted({str(row["teat"]) for trial in run.counted for row in trial.truth})
     of = np.array(rows.of_found(rows.teats), dtype=np.str_)
@@ -222,19 +220,18 @@ def spread_parts(
             plural(int(timed.sum()), "point"),
         )
     teats = teat_errors(rows)
-    yield _drawn(teats, limit_mm, anchors, camera_from_world, detector)
+    yield _drawn(run, detector, teats, limit_mm, camera_from_world)
     yield from _ellipsoids(run, rows, teats, detector)
     yield from trend_parts(rows, detector)
 
 
 def _drawn(
-    teats: Sequence[TeatErrors],
-    limit_mm: float,
-    anchors: Mapping[str, str],
-    camera_from_world: Floats,
-    detector: str,
+    run: RunRecord, detector: str, teats: Sequence[TeatErrors], limit_mm: float, turn: Floats
 ) -> Figure:
-    """Each teat's pose means with its 95 % ellipsoid; too many teats are one group."""
+    """Each teat's pose means with its 95 % ellipsoid; too many teats are one group. ``turn``: into
+    the camera's axes.
+    """
+    anchors = anchors_of(run)
     clouds = [
         (f"teat {one.teat}", one.means_mm, one.worst_trials, one.bias.common_mm2) for one in teats
     ]
@@ -246,8 +243,8 @@ def _drawn(
         clouds = [(f"{len(clouds)} teats", together, worst, largest)]
     groups = []
     for name, means, trials, common in clouds:
-        frames = means, means @ camera_from_world.T
-        turned = None if common is None else camera_from_world @ common @ camera_from_world.T
+        frames = means, means @ turn.T
+        turned = None if common is None else turn @ common @ turn.T
         bodies = [
             prediction_ellipsoid(points, common_mm2=of)
             for points, of in zip(frames, (common, turned), strict=True)

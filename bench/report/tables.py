@@ -74,13 +74,10 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         return Score(d.verdict.value, measured(d), f"{SHOWS[d.verdict]}{of}")
 
     rows = []
-    sound = [d for d in judgements[0].decisions if d.name in of_bench and d.verdict is Verdict.MET]
-    merged = (
-        {d.name for d in sound} if len(sound) > 1 else set[str]()
-    )  # each has its row in the fold
-    for name in dict.fromkeys(name for each in by_name for name in each):
-        if name in merged:
-            continue
+    bench = [d for d in judgements[0].decisions if d.name in of_bench]
+    sound = [d.name for d in bench if d.verdict is Verdict.MET]
+    sound = sound if len(sound) > 1 else []  # in one row; each has its own in the fold
+    for name in dict.fromkeys(name for each in by_name for name in each if name not in sound):
         decisions = [each.get(name) for each in by_name]
         limits = dict.fromkeys(limit(d) for d in decisions if d)
         scores = tuple(score(d) if d else None for d in decisions)
@@ -88,7 +85,7 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         if several and name in of_bench:
             called, scores = f"Bench: {name}", (scores[0], *(None,) * (len(scores) - 1))
         rows.append((called, ", ".join(limits), scores))
-    if merged:
+    if sound:
         met = Score(Verdict.MET.value, f"{len(sound)} of {len(sound)}", "met")
         called = "The bench's own" if len(sound) == len(of_bench) else "The bench's other ones"
         rows.append((called, "", (met, *(None,) * (len(judgements) - 1))))

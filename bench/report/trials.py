@@ -64,6 +64,11 @@ def trial_id(trial: TrialRecord) -> str:
     return f"trial-{int(trial.head['number']):03d}"
 
 
+def anchors_of(run: RunRecord) -> dict[str, str]:
+    """Each trial's link by its id."""
+    return {trial.id: f"#{trial_id(trial)}" for trial in run.trials}
+
+
 def trial_part(
     run: RunRecord,
     trial: TrialRecord,

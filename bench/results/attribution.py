@@ -22,8 +22,6 @@ OPERATORS_EVENT = "the operator skipped it"
 
 
 class Cause(StrEnum):
-    """What is at fault."""
-
     DETECTOR = "detector"
     TRUTH = "truth"
     BENCH = "bench"
@@ -99,36 +97,22 @@ def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[DetectionFault, 
     names = [str(row["teat"]) for row in trial.truth]
     reasons = [row["reason"] for row in trial.detections if row["detector"] == detector]
     unseen = "it was visible and nothing was found within the gate"
+    why = str(next(filter(None, reasons), unseen))
     for teat in score.match.missed:
-        yield (
-            DetectionFault.MISSED,
-            names[teat],
-            Cause.DETECTOR,
-            str(next(filter(None, reasons), unseen)),
-        )
+        yield DetectionFault.MISSED, names[teat], Cause.DETECTOR, why
     for (_, teat), distance in zip(score.match.pairs, score.radial_mm, strict=True):
         if distance > score.limit_mm:
-            near = teat in score.doubtful
-            why = f"{distance:.2f} mm off, limit {score.limit_mm:g} mm"
-            known_mm = radial_95_mm(score.u_mm**2 * np.eye(3))
-            more = f"; the truth, known to {known_mm:.2f} mm in 95 %, could turn it" if near else ""
-            yield (
-                DetectionFault.OFF,
-                names[teat],
-                Cause.TRUTH if near else Cause.DETECTOR,
-                why + more,
-            )
+            why, cause = f"{distance:.2f} mm off, limit {score.limit_mm:g} mm", Cause.DETECTOR
+            if teat in score.doubtful:
+                known_mm, cause = radial_95_mm(score.u_mm**2 * np.eye(3)), Cause.TRUTH
+                why += f"; the truth, known to {known_mm:.2f} mm in 95 %, could turn it"
+            yield DetectionFault.OFF, names[teat], cause, why
     for number in score.match.false:
         yield DetectionFault.FALSE, "", Cause.DETECTOR, f"finding {number + 1} is at no teat"
-    found = {teat for _, teat in score.match.hidden_pairs}
+    found, why = {teat for _, teat in score.match.hidden_pairs}, "some camera can't see its end"
     for teat, row in enumerate(trial.truth):
         if not row["visible"] and teat not in found:
-            yield (
-                DetectionFault.MISSED,
-                names[teat],
-                Cause.NOT_VISIBLE,
-                "some camera can't see its end",
-            )
+            yield DetectionFault.MISSED, names[teat], Cause.NOT_VISIBLE, why
 
 
 def _not_judged(run: RunRecord) -> Iterator[tuple[str, Cause, str]]:

@@ -59,8 +59,6 @@ CAMERAS = frozenset(Path(name).stem for name in FILES)
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One detector in one run."""
-
     run: RunRecord
     detector: str
 
@@ -120,17 +118,13 @@ def compare_folders(
     found = []
     for old, new in sides(runs, detectors):
         one = compare_sides(old, new, margin_mm=margin_mm, confidence=confidence)
-        found.append(_written(one) if not damage and len(runs) > 1 else one)
+        if not damage and len(runs) > 1:
+            try:
+                write_looks((old.run, new.run), [one.look] if one.look else [])
+            except ConfigError as error:
+                one = unwritten(one, str(error))
+        found.append(one)
     return tuple(found)
-
-
-def _written(one: Comparison) -> Comparison:
-    """The comparison, written down as a look; not shown to be no worse where it can't be."""
-    try:
-        write_looks((one.old.run, one.new.run), [one.look] if one.look else [])
-    except ConfigError as error:
-        return unwritten(one, str(error))
-    return one
 
 
 def unwritten(one: Comparison, why: str) -> Comparison:
@@ -142,7 +136,7 @@ def unwritten(one: Comparison, why: str) -> Comparison:
 
 
 def compare_sides(
-    old: Side, new: Side, *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0
+    old: Side, new: Side, *, margin_mm: float | None = None, confidence: float = 0.95
 ) -> Comparison:
     """Compare two detectors on their common trials. Raises ConfigError."""
     check_limits(old, new)
@@ -173,7 +167,6 @@ def compare_sides(
         pairs,
         margin_mm=margin_mm,
         confidence=confidence,
-        seed=seed,
         unpaired=only_old,
         again=len(before),
     )
@@ -397,7 +390,15 @@ def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Poole
             apart=max(1, len(series)),
         )
         decided = beside_tests(_decided_on(runs, name, rule, looks[rule.name]), runs)
-        decisions.append(_none_left_out(decided, looks[rule.name]))
+        if left_out and decided.verdict in (Verdict.MET, Verdict.NOT_MET):
+            why = (
+                "An earlier look at some of these runs had also"
+                f" {', '.join(looks[rule.name].left_out)}: judge them all, or runs that no look has"
+                " seen"
+            )
+            why = f"{why}. {decided.sentence}"
+            decided = replace(decided, verdict=Verdict.INCONCLUSIVE, sentence=why)
+        decisions.append(decided)
     judgement = Judgement(name, held_back(decisions, NOT_AS_WRITTEN if runs[0].damage else ""))
     verdicts = {one.name: one.verdict.value for one in decisions}
     poses = {one.name: one.n for one in decisions}
@@ -414,18 +415,6 @@ def _decided_on(
         of = poses_of(run)
         rows += [((of, pose), row) for pose, row in calls_of(run, name)]
     return decide_detector(rule, scores, latency(rows), truth_u_mm(runs, scores, name), looks)
-
-
-def _none_left_out(decision: Decision, looks: Looks) -> Decision:
-    """The decision; inconclusive where runs that an earlier look had are left out."""
-    if not looks.left_out or decision.verdict not in (Verdict.MET, Verdict.NOT_MET):
-        return decision
-    names = ", ".join(looks.left_out)
-    why = (
-        f"An earlier look at some of these runs had also {names}: judge them all, or runs that no"
-        " look has seen"
-    )
-    return replace(decision, verdict=Verdict.INCONCLUSIVE, sentence=f"{why}. {decision.sentence}")
 
 
 def script_of(run: RunRecord) -> str:

@@ -111,12 +111,9 @@ class GuardianTarget:
 
     @property
     def arguments(self) -> list[str]:
-        of_stage = [f"--stage={json.dumps(asdict(self.stage))}"] if self.stage else []
-        if not self.url:
-            return of_stage
-        given = [f"--url={self.url}", f"--profile={self.profile}", *of_stage]
-        if self.pump_url:
-            given += [f"--pump-url={self.pump_url}", f"--pump-profile={self.pump_profile}"]
+        given = [f"--url={self.url}", f"--profile={self.profile}"]
+        given += [f"--pump-url={self.pump_url}", f"--pump-profile={self.pump_profile}"]
+        given += [f"--stage={json.dumps(asdict(self.stage))}"] if self.stage else []
         return [*given, *(["--allow-inferred"] if self.allow_inferred else [])]
 
 
@@ -151,7 +148,6 @@ class GuardianClient:
 
     @property
     def pid(self) -> int:
-        """The guardian's process."""
         return self._process.pid
 
     @property

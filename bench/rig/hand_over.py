@@ -136,16 +136,17 @@ class BathLock:
         with suppress(Timeout):
             self._owner.acquire(timeout=HAND_OVER_S, poll_interval=POLL_S)
             return ""
-        holder = self._read()
-        if not holder or MODULE not in _command(int(holder["pid"])):
+        import psutil  # loaded only where it is needed
+
+        holder, command = self._read(), list[str]()
+        with suppress(psutil.Error):
+            command = psutil.Process(int(holder["pid"])).cmdline() if holder else []
+        if MODULE not in " ".join(command):
             raise self._kept("a process that doesn't say who it is holds it")
         if not holder.get("acting") and lives({"pid": holder["bench"]}):
             raise self._kept(f"{_named(holder)} guards it for a bench that lives")
-        pid = int(holder["pid"])
-        import psutil
-
         with suppress(psutil.Error):
-            psutil.Process(pid).kill()
+            psutil.Process(int(holder["pid"])).kill()
         with suppress(Timeout):
             self._owner.acquire(timeout=HAND_OVER_S, poll_interval=POLL_S)
             return f"{_named(holder)} did not answer for {HAND_OVER_S:g} s and was ended"
@@ -174,12 +175,3 @@ def free_bath(url: str, record: Path) -> None:
 
 def _named(holder: Mapping[str, Any]) -> str:
     return f"the guardian of {holder.get('record')} (process {holder.get('pid')})"
-
-
-def _command(pid: int) -> str:
-    """The command line of a process; "" where there is none. psutil is loaded only where needed."""
-    import psutil
-
-    with suppress(psutil.Error):
-        return " ".join(psutil.Process(pid).cmdline())
-    return ""

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -57,46 +57,40 @@ def target_of(rig: LoadedRig, *, bath: str = "", pump: str = "", stage: str = ""
     return target
 
 
+@dataclass(eq=False)
 class Leaving:
     """Watches the ``devices`` of ``rig`` from their opening to their closing. ``guards``: which of
     bath and stage outlive this process, and have guardians; ``leave_running``: they are left as
     they are, which is noted.
     """
 
-    def __init__(
-        self,
-        rig: LoadedRig,
-        devices: Devices,
-        *,
-        guards: Collection[str],
-        leave_running: bool,
-        warn: Callable[[str], None],
-    ) -> None:
-        self._rig = rig
-        self._devices = devices
-        self._guards = guards
-        self._leave_running = leave_running
-        self._warn = warn
+    rig: LoadedRig
+    devices: Devices
+    guards: Collection[str]
+    leave_running: bool
+    warn: Callable[[str], None]
+
+    def __post_init__(self) -> None:
         self._guardians: dict[str, GuardianClient] = {}
         self._folders: list[Path] = []
         self._heartbeat = Heartbeat()
         self._left = False
-        bath: Bath | None = devices.bath  # of a rig opened in part
+        bath: Bath | None = self.devices.bath  # of a rig opened in part
         if bath:
             bath.before_heating = partial(self._guard, "bath", bath, None)
-            bath.watched = not leave_running
-        if devices.stage:
-            devices.stage.before_moving = partial(self._guard, "stage", None, devices.stage)
+            bath.watched = not self.leave_running
+        if stage := self.devices.stage:
+            stage.before_moving = partial(self._guard, "stage", None, stage)
 
     def leave(self) -> NotSafeError | None:
         """Make safe what is not; where that fails, the guardians go on trying."""
         self._left = True
-        active = self._devices.active
-        if self._leave_running:
+        active = self.devices.active
+        if self.leave_running:
             self._note(active)
             return None
         said: list[str] = []
-        unsafe = self._devices.make_safe(said.append, only=active) if active else {}
+        unsafe = self.devices.make_safe(said.append, only=active) if active else {}
         for name, guardian in self._guardians.items():
             (guardian.hand_over if name in unsafe else guardian.done)()
         for folder in self._folders:
@@ -105,12 +99,12 @@ class Leaving:
         if not unsafe:
             return None
         what = not_safe_text(unsafe)
-        real = {OF.get(name, name) for name in unsafe} & {*self._guards}
+        real = {OF.get(name, name) for name in unsafe} & {*self.guards}
         if self._guardians:
             what += "\nThe guardian goes on trying."
         if not real:
             what = f"{', '.join(unsafe)} of the emulated rig: {' '.join(said)}."
-        self._warn(what)
+        self.warn(what)
         return NotSafeError("rig", what) if real else None
 
     def _guard(self, name: str, bath: Bath | None, stage: Stage | None) -> None:
@@ -120,24 +114,24 @@ class Leaving:
             raise LimitError("rig", what, hint="Use it inside of its with block.")
         if bath:
             self._feed(bath)
-        if name not in self._guards or self._leave_running:
+        if name not in self.guards or self.leave_running:
             return
         guardian = self._guardians.get(name)
         if guardian is None:
             of_bath = {"bath": bath.url, "pump": bath.pump_url} if bath else {}
-            target = target_of(self._rig, **of_bath, stage=stage.url if stage else "")
+            target = target_of(self.rig, **of_bath, stage=stage.url if stage else "")
             guardian = GuardianClient(target, self._folder(), self._heartbeat)
             self._guardians[name] = guardian
             if guardian.taken_from:
-                self._warn(f"{guardian.taken_from}; this process has it now")
+                self.warn(f"{guardian.taken_from}; this process has it now")
         elif lost := guardian.lost:
             hint = "Open the rig anew."
             raise LinkError("guardian", f"nothing is heated or moved: {lost}", hint=hint)
 
     def _folder(self) -> Path:
         """For the guardian's record: beside the rig file, where there is one."""
-        beside = self._rig.path.parent if self._rig.path.is_file() else None
-        prefix = f"{self._rig.path.stem or 'teatbench'}.guardian-"
+        beside = self.rig.path.parent if self.rig.path.is_file() else None
+        prefix = f"{self.rig.path.stem or 'teatbench'}.guardian-"
         try:
             folder = Path(tempfile.mkdtemp(prefix=prefix, dir=beside))
         except OSError:  # a folder that may not be written
@@ -150,7 +144,7 @@ class Leaving:
         seconds = bath.profile.watchdog_s
         if seconds is None or not bath.watched:
             return
-        clock = self._devices.clock
+        clock = self.devices.clock
 
         def feed() -> None:
             if self._left or not bath.heats:
@@ -164,8 +158,8 @@ class Leaving:
 
     def _note(self, active: tuple[str, ...]) -> None:
         """Write down what is left running, beside the rig file."""
-        bath: Bath | None = self._devices.bath
-        if not active or not self._rig.path.is_file():
+        bath: Bath | None = self.devices.bath
+        if not active or not self.rig.path.is_file():
             return
         note: dict[str, object] = {
             "wall_time": wall_time().isoformat(timespec="seconds"),
@@ -178,11 +172,11 @@ class Leaving:
                 note |= {"running": reading.running, "set_point_c": reading.set_point_c}
                 if bath.pump == "own":
                     note["pump"] = bath.profile.row(PUMP).label(bath.get(PUMP))
-            path = self._rig.path.with_name(self._rig.path.stem + LEFT)
+            path = self.rig.path.with_name(self.rig.path.stem + LEFT)
             with path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(note) + "\n")
         except (InstrumentError, OSError) as error:
-            self._warn(f"left running, and that could not be noted: {error}")
+            self.warn(f"left running, and that could not be noted: {error}")
 
 
 class OpenInstruments(AbstractContextManager[Devices]):

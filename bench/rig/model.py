@@ -370,14 +370,11 @@ class ThermalTable(OneCamera):
         comes_mirrored = mirrored if self.mirrored is None else self.mirrored
         comes_black = hot_is_black if self.polarity is None else self.polarity == "hot_is_black"
         r = self.radiometric
-        return Conversion(
-            self.grey,
-            comes_mirrored != (mirrored and r is None),
-            self.turn_deg,
-            self.flip,
-            self.white,
-            comes_black != hot_is_black,
-            r.radiometry if r else None,
+        return replace(
+            self.conversion(),
+            mirrored=comes_mirrored != (mirrored and r is None),
+            inverted=comes_black != hot_is_black,
+            radiometry=r.radiometry if r else None,
         )
 
 
@@ -459,9 +456,8 @@ class Cameras(Section):
 
     @property
     def tables(self) -> dict[str, OneCamera]:
-        named = {"left": self.left, "right": self.right, "thermal": self.thermal}
-        named |= {"depth": self.depth}
-        return {name: table for name, table in named.items() if table}
+        names = ("left", "right", "thermal", "depth")
+        return {name: table for name in names if (table := getattr(self, name))}
 
     @property
     def recorded(self) -> bool:

@@ -5,7 +5,7 @@ names every instrument that failed.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import (
     AbstractContextManager,
     ExitStack,
@@ -14,7 +14,7 @@ from contextlib import (
     nullcontext,
     suppress,
 )
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -137,7 +137,7 @@ def open_instruments(
         # emulators of this process die with it
         virtual = twin is not None or isinstance(devices.clock, VirtualClock)
         guards = set() if virtual else {"bath", "stage"} & real
-        return Leaving(rig, devices, guards=guards, leave_running=leave_running, warn=warn)
+        return Leaving(rig, devices, guards, leave_running, warn)
 
     def clock_in(stack: ExitStack) -> Clock:
         person = "operator" in names and rig.rig.by_person
@@ -159,71 +159,13 @@ def open_instruments(
             if emulated and world is None:
                 drawn = not {"cameras", "operator"}.isdisjoint(names)
                 world = stack.enter_context(EmulatedRig(rig, time, seeded, drawn=drawn))
-            heard: dict[str, float] = {}
-            openers = _Openers(rig, time, world, capture, heard, identify=identify).all()
-            found = _opened(stack, names, openers)
-            together = _together(rig, found, time, world, answerer, names, heard)
+            together = _BringUp(rig, time, world, capture, identify).all(stack, names, answerer)
             if world and type(time) is not VirtualClock:
                 practice = partial(following, Practice(world), time, speed or 1.0)
                 together = replace(together, practice=practice)
             yield together
 
     return OpenInstruments(opened(), None if supervised else leaving)
-
-
-def _opened(
-    stack: ExitStack, names: Sequence[str], openers: Mapping[str, Callable[[], Any]]
-) -> dict[str, Any]:
-    """Each instrument, to be closed with ``stack``. Raises BringUpError, or a single fault."""
-    found: dict[str, Any] = {}
-    faults: dict[str, InstrumentError] = {}
-    for name in names:
-        if name in openers:
-            try:
-                found[name] = stack.enter_context(closing(openers[name]()))
-            except InstrumentError as fault:
-                faults[name] = fault
-    if faults:
-        raise next(iter(faults.values())) if len(names) == 1 else BringUpError(faults)
-    return found
-
-
-def _together(
-    rig: LoadedRig,
-    opened: Mapping[str, Any],
-    clock: Clock,
-    twin: EmulatedRig | None,
-    answerer: PromptedOperator | None,
-    names: Sequence[str],
-    heard: dict[str, float],
-) -> Devices:
-    arm: Any
-    bath: Any
-    cameras: Any
-    arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
-    if isinstance(answerer, Console) and twin is None and arm and arm.pedals:
-        answerer.watch_pedals(lambda: pedal_watch(arm, clock))
-    hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
-    if answerer:
-        answerer.hands = hands
-    if arm:
-        arm.asked_of(answerer or hands)
-    if twin:
-        # The emulated world follows what isn't emulated
-        if bath and "bath" not in rig.rig.emulated:
-            bath.on_reading = twin.follow_bath
-        if stage and "stage" not in rig.rig.emulated:
-            last = [0.0] * 4
-
-            def place() -> list[float]:
-                with suppress(InstrumentError):  # not connected yet, or lost: as it was
-                    last[: len(stage.axes)] = stage.position().tolist()
-                return last
-
-            twin.follow_stage(rig.rig, place)
-    exact = twin and {"arm", "cameras"} <= set(rig.rig.emulated)
-    exact_ends = twin.world.ends_mm if twin and exact else None
-    return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends, heard)
 
 
 @contextmanager
@@ -316,37 +258,82 @@ def _answerer(
     return load_answers(rig.path.parent / url.removeprefix(SCRIPT), show)
 
 
-class _Openers:
-    """What opens each instrument of ``rig``, by the rig file or on the emulators of ``twin``."""
+@dataclass(eq=False)
+class _BringUp:
+    """Opens the instruments of ``rig``, by the rig file or on the emulators of ``twin``."""
 
-    def __init__(
-        self,
-        rig: LoadedRig,
-        clock: Clock,
-        twin: EmulatedRig | None,
-        capture: CaptureFile | None,
-        heard: dict[str, float],
-        *,
-        identify: bool,
-    ) -> None:
-        self._rig, self._clock, self._twin = rig, clock, twin
-        self._capture, self._heard, self._identify = capture, heard, identify
-        self._ports = twin.urls if twin else {}  # of emulators
+    rig: LoadedRig
+    clock: Clock
+    twin: EmulatedRig | None
+    capture: CaptureFile | None
+    identify: bool
+
+    def __post_init__(self) -> None:
+        self._heard: dict[str, float] = {}
+        self._ports = self.twin.urls if self.twin else {}  # of emulators
         # a port of an emulator for what is emulated, else what the rig file says
-        emulated = (*rig.rig.emulated, *(["pump"] if "bath" in rig.rig.emulated else []))
+        r = self.rig.rig
+        emulated = (*r.emulated, *(["pump"] if "bath" in r.emulated else []))
         ours = {name: url for name, url in self._ports.items() if name in emulated}
-        self._urls = rig.rig.urls | ours
+        self._urls = r.urls | ours
 
-    def all(self) -> dict[str, Callable[[], Any]]:
+    def all(
+        self, stack: ExitStack, names: Sequence[str], answerer: PromptedOperator | None
+    ) -> Devices:
+        """The instruments ``names``, to be closed with ``stack``. Raises BringUpError, or a single
+        fault.
+        """
+        opened: dict[str, Any] = {}
+        faults: dict[str, InstrumentError] = {}
+        openers = self._openers()
+        for name in names:
+            if name in openers:
+                try:
+                    opened[name] = stack.enter_context(closing(openers[name]()))
+                except InstrumentError as fault:
+                    faults[name] = fault
+        if faults:
+            raise next(iter(faults.values())) if len(names) == 1 else BringUpError(faults)
+        one: Callable[[str], Any] = opened.get
+        twin, hands, arm = self.twin, one("operator"), one("arm")
+        if twin:
+            self._follow(twin, one("bath"), one("stage"))
+            hands = twin.operator if "operator" in names else hands
+        if arm and isinstance(answerer, Console) and not twin and arm.pedals:
+            answerer.watch_pedals(lambda: pedal_watch(arm, self.clock))
+        if answerer:
+            answerer.hands = hands
+        if arm:
+            arm.asked_of(answerer or hands)
+        exact = twin and {"arm", "cameras"} <= set(self.rig.rig.emulated)
+        devices = self.clock, arm, one("bath"), one("stage"), one("cameras")
+        exact_ends = twin.world.ends_mm if twin and exact else None
+        return Devices(*devices, answerer or hands, exact_ends, self._heard)
+
+    def _follow(self, twin: EmulatedRig, bath: Bath | None, stage: Stage | None) -> None:
+        """The emulated world follows what isn't emulated."""
+        if bath and "bath" not in self.rig.rig.emulated:
+            bath.on_reading = twin.follow_bath
+        if stage and "stage" not in self.rig.rig.emulated:
+            last = [0.0] * 4
+
+            def place() -> list[float]:
+                with suppress(InstrumentError):  # not connected yet, or lost: as it was
+                    last[: len(stage.axes)] = stage.position().tolist()
+                return last
+
+            twin.follow_stage(self.rig.rig, place)
+
+    def _openers(self) -> dict[str, Callable[[], Any]]:
         """By instrument, of those that the rig has."""
-        r = self._rig.rig
+        r = self.rig.rig
         found: dict[str, Callable[[], Any]] = {"arm": self._arm, "bath": self._bath}
         found["cameras"] = self._cameras
         if r.stage:
             found["stage"] = partial(self._stage, r.stage)
         if r.operator.url.startswith(ELSEWHERE):
             port = r.operator.url.replace(ELSEWHERE, "socket://")
-            found["operator"] = lambda: RemoteOperator(port, self._clock)
+            found["operator"] = lambda: RemoteOperator(port, self.clock)
         return found
 
     def _driver(self, kind: Kind, url: str) -> Plugin | None:
@@ -357,51 +344,51 @@ class _Openers:
         return load(kind, plug).with_keys(**{"url": self._ports[name]} if plug.emulated else {})
 
     def _tap(self, name: str) -> Tap:
-        then = self._capture.tap(name, self._clock) if self._capture else Tap()
-        return AnswerTimes(name, self._clock, self._heard, then)
+        then = self.capture.tap(name, self.clock) if self.capture else Tap()
+        return AnswerTimes(name, self.clock, self._heard, then)
 
     def _link(self, name: str, baud: int) -> Link:
-        return Link(self._urls[name], self._clock, who=name, baud=baud, tap=self._tap(name))
+        return Link(self._urls[name], self.clock, who=name, baud=baud, tap=self._tap(name))
 
     def _arm(self) -> Arm:
-        table, clock = self._rig.rig.arm, self._clock
+        table, clock = self.rig.rig.arm, self.clock
         if plugged := self._driver("arm", table.url):
             return PluggedArm(plugged, clock)
         if points := points_url(self._urls["arm"]):
-            folder = self._rig.path.parent
+            folder = self.rig.path.parent
             return PointArm(points, folder, clock, table.accuracy_mm, table.resolution_mm)
         return MicroScribe(self._link("arm", table.baud), clock, answer_s=table.answer_s)
 
     def _bath(self) -> Bath:
-        r, relay = self._rig.rig, self._rig.relay
+        r, relay = self.rig.rig, self.rig.relay
         if plugged := self._driver("bath", r.bath.url):
-            return PluggedBath(plugged, self._clock, identify=self._identify)
+            return PluggedBath(plugged, self.clock, identify=self.identify)
         elsewhere = r.operator.url.startswith(ELSEWHERE) and r.bath_emulated
         emulated = elsewhere or "bath" in r.emulated
         pump_url = self._urls.get("pump", r.bath.pump_url)
         return OwnBath(
             self._urls["bath"],
-            self._rig.profile,
-            self._clock,
+            self.rig.profile,
+            self.clock,
             allow_inferred=r.bath.allow_inferred,
             # an emulated controller has no display, and is in degC unless a fault changes it
             unit_confirmed=bool(r.bath.unit_confirmed or emulated),
-            identify=self._identify,
+            identify=self.identify,
             tap=self._tap("bath"),
             pump=PumpAt(pump_url, relay, self._tap("pump")) if relay else None,
         )
 
     def _stage(self, table: StageTable) -> Stage:
         if plugged := self._driver("stage", table.url):
-            return PluggedStage(plugged, self._clock, table.axes)
+            return PluggedStage(plugged, self.clock, table.axes)
         motors = [Motor(*motor) for motor in table.motors]
         link = self._link("stage", table.baud)
-        return OwnStage(link, self._clock, table.axes, dialect=table.dialect, motors=motors)
+        return OwnStage(link, self.clock, table.axes, dialect=table.dialect, motors=motors)
 
     def _cameras(self) -> Cameras:
-        rig, clock = self._rig, self._clock
-        if self._twin and rig.rig.cameras.url == EMULATED:
-            return self._twin.cameras
+        rig, clock = self.rig, self.clock
+        if self.twin and rig.rig.cameras.url == EMULATED:
+            return self.twin.cameras
         folder, tables = rig.path.parent, rig.rig.cameras.tables  # paths are from there
         plugged = self._driver("camera", rig.rig.cameras.url)
         group = partial(PluggedGroup, plugged, clock) if plugged else None

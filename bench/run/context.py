@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -43,32 +43,27 @@ SAFING = "Wait until all is safe, and for its report."
 READ_S = 1.0  # both clocks are read within microseconds
 
 
+@dataclass(eq=False)
 class RunContext:
     """One run. Time passes through ``wait`` only, with a look at the interlocks each second. What a
     person requests is raised by ``check_interrupts``. ``before``: the run that left the rig warm.
     """
 
-    def __init__(
-        self,
-        rig: LoadedRig,
-        script: LoadedScript,
-        devices: Devices,
-        store: Store,
-        events: Events,
-        heartbeat: Heartbeat | None = None,
-        guardian_client: GuardianClient | None = None,
-        before: RunContext | None = None,
-    ) -> None:
-        self.before = before
-        self.rig = rig
-        self.script = script
-        self.devices = devices
-        self.store = store
-        self.events = events
+    rig: LoadedRig
+    script: LoadedScript
+    devices: Devices
+    store: Store
+    events: Events
+    heartbeat: Heartbeat = field(default_factory=Heartbeat)
+    guardian_client: InitVar[GuardianClient | None] = None
+    before: RunContext | None = None
+
+    def __post_init__(self, guardian_client: GuardianClient | None) -> None:
+        rig, devices, events, before = self.rig, self.devices, self.events, self.before
         self.clock = devices.clock
         self.tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self.check_interrupts: Callable[[], None] = lambda: None
-        self.live = Live(store.folder)
+        self.live = Live(self.store.folder)
         self.progress: Callable[[], Mapping[str, Any]] = dict
         self.safing = self.made_safe = False  # the run is on its way to safe; it was gone
         # the instrument that dropped out, in what way, what a person does about it, and what once
@@ -81,11 +76,10 @@ class RunContext:
         self._touching = self._touched = False
         self._stage_seen_s = 0.0
         self._stage_mm: Triple | None = None
-        self._heartbeat = heartbeat or Heartbeat()
         self._wall_behind_s: float | None = None
-        gate: StabilityGate = before.watch.gate if before and self.is_warm else gate_of(script)
+        gate: StabilityGate = before.watch.gate if before and self.is_warm else gate_of(self.script)
         self.trips = TripHandler(
-            rig, devices, gate, store, events.warn, self._heartbeat, guardian_client
+            rig, devices, gate, self.store, events.warn, self.heartbeat, guardian_client
         )
         self.trips.on_event, self.trips.seen = events.event, self._seen
         self.watch: BathMonitor = self.trips.watch
@@ -106,7 +100,7 @@ class RunContext:
                 self._touched = False
                 self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
-        self._heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
+        self.heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
         self._asked, self._asked_s = kind, self.clock.now()
         self._touching = isinstance(request, Touch | BoardTouch)
         if not self._touching or not self._touched:
@@ -118,7 +112,7 @@ class RunContext:
         finally:
             self._asked, self._touching = "", False
             self.events.asked("")
-            self._heartbeat.sign("going on")
+            self.heartbeat.sign("going on")
 
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises InterlockTrip."""
@@ -126,7 +120,7 @@ class RunContext:
 
     def check(self) -> None:
         """A sign of life, and a look."""
-        self._heartbeat.sign("going on")
+        self.heartbeat.sign("going on")
         self.look()
 
     def look(self) -> None:
@@ -299,7 +293,7 @@ class RunContext:
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
         """Allow ``what`` so long before the bench counts as hung; ``silent``: without heartbeat."""
-        self._heartbeat.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
+        self.heartbeat.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
     def note(self, text: str) -> None:
         self.events.state(text)

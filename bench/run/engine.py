@@ -6,7 +6,7 @@ import sqlite3
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import KW_ONLY, asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -55,6 +55,7 @@ STAYS_WARM = "nothing was made safe: the rig stays open, heated and watched for 
 REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 
 
+@dataclass(eq=False)
 class Engine:
     """One run. ``exact_ends``: the scene's exact truth, never scored against; ``left``: of the last
     session; ``typed`` gives typed lines; ``expected``: how long it takes; ``more``: another script
@@ -62,36 +63,30 @@ class Engine:
     many have passed, and of how many.
     """
 
-    def __init__(
-        self,
-        ctx: RunContext,
-        detectors: Sequence[Detector],
-        *,
-        exact_ends: Callable[[], NDArray[np.float64]] | None = None,
-        recorder: Recorder | None = None,
-        left: ResumePoint | None = None,
-        typed: Callable[[], str | None] = lambda: None,
-        expected: TimeEstimate | None = None,
-        more: bool = False,
-        between: Callable[[int, int], None] = lambda *_: None,
-    ) -> None:
-        self._more, self._between = more, between
+    context: RunContext
+    detectors: Sequence[Detector]
+    _: KW_ONLY
+    exact_ends: Callable[[], NDArray[np.float64]] | None = None
+    recorder: Recorder | None = None
+    left: ResumePoint | None = None
+    typed: Callable[[], str | None] = lambda: None
+    expected: TimeEstimate | None = None
+    more: bool = False
+    between: Callable[[int, int], None] = lambda *_: None
+
+    def __post_init__(self) -> None:
+        ctx, left, recorder, expected = self.context, self.left, self.recorder, self.expected
         self.is_warm = False  # ended, with the rig open, heated and watched
-        self._ctx = ctx
-        self._left = left
-        self._expected = expected
         store = ctx.store
         planned = len(ctx.script.planned)
         self._rehearsed = store if isinstance(store, RehearsedStore) else None
         goes_on = left is not None and not self._rehearsed
         self._session = store.session if goes_on else 1
-        self._requests = Requests(store.folder, typed, ctx.events.warn)
+        self._requests = Requests(store.folder, self.typed, ctx.events.warn)
         settled = recorder.settled if recorder else lambda _trials, _good: None
         before = left.run if left and goes_on else None
         self._truth = choose_truth(ctx, settled, before=before)
-        self._trials = TrialRun(
-            ctx, detectors, self._truth, exact_ends=exact_ends, recorder=recorder, before=before
-        )
+        self._trials = TrialRun(ctx, self.detectors, self._truth, self.exact_ends, recorder, before)
         self._recovery = Recovery(ctx, self._trials.look)
         self._attempts = Attempts(
             ctx,
@@ -106,7 +101,7 @@ class Engine:
         self._ended = False
         self._checked: dict[str, Any] | None = None  # the arm, before the trials of this session
         self.bath_is_safe = False  # until the run has ended and made it so
-        ctx.under_test = [one.name for one in detectors]
+        ctx.under_test = [one.name for one in self.detectors]
         ctx.progress = self._progress
         # for a person who looks for what the screen had to show
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
@@ -114,14 +109,10 @@ class Engine:
             ctx.events.state(text := f"{plural(len(left.done), 'trial')} done before")
             ctx.events.replaying = f"{text}, gone through again" if self._rehearsed else ""
 
-    @property
-    def context(self) -> RunContext:
-        return self._ctx
-
     def run(self) -> RunState:
         """Everything, to the end or to safe. Faults of instruments and aborts are recorded."""
         exits, ending = current(), RunState.FAULTED
-        exits.at_close = self._ctx.trips.heater_off
+        exits.at_close = self.context.trips.heater_off
         try:
             self._reserve.keep()
             self._work()
@@ -135,7 +126,7 @@ class Engine:
             with undisturbed():
                 ending = self._finish(ending)
             exits.let_go()
-            exits.at_close = self._ctx.trips.heater_off if self.is_warm else None
+            exits.at_close = self.context.trips.heater_off if self.is_warm else None
         return ending
 
     def let_go(self) -> None:
@@ -143,13 +134,13 @@ class Engine:
         with undisturbed():
             self.is_warm = False
             if unsafe := self._make_safe()[1]:
-                self._ctx.events.warn(not_safe_text(unsafe))
-                self._ctx.events.notify(NOT_SAFE)
+                self.context.events.warn(not_safe_text(unsafe))
+                self.context.events.notify(NOT_SAFE)
         current().at_close = None
 
     def _make_safe(self) -> tuple[list[str], Mapping[str, str]]:
         """Bath, stage, arm and pump: what they said, and which are not safe."""
-        ctx, said, asked = self._ctx, list[str](), len(current().asked)
+        ctx, said, asked = self.context, list[str](), len(current().asked)
         ctx.trips.end()
         unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
@@ -157,7 +148,7 @@ class Engine:
         return said, unsafe
 
     def _work(self) -> None:
-        ctx, planned, again = self._ctx, self._ctx.script.planned, self._recovery.run
+        ctx, planned, again = self.context, self.context.script.planned, self._recovery.run
         set_point_c = ctx.script.script.bath.set_point_c
         ctx.check_interrupts = self._requests.look_between
         ctx.states.to(RunState.PREPARING)
@@ -183,18 +174,18 @@ class Engine:
         ctx.watch.heating(anew=not ctx.is_warm)
         again("preparing the truth", self._truth.begin)
         for trial in planned:
-            if self._left and trial.id not in self._left.done:
+            if self.left and trial.id not in self.left.done:
                 self._go_live()
-            if self._left:
+            if self.left:
                 self._go_through_again(trial)
                 continue
             ctx.events.trial(trial.number - 1, len(planned), trial.name)
             ctx.long("drawing for the report", 60.0, silent=True)
-            self._between(trial.number - 1, len(planned))
-            self._requests.pause_if_asked(self._ctx)
-            self._ctx.check_interrupts = self._requests.look
+            self.between(trial.number - 1, len(planned))
+            self._requests.pause_if_asked(self.context)
+            self.context.check_interrupts = self._requests.look
             self._attempts.run(trial)
-            self._ctx.check_interrupts = self._requests.look_between
+            self.context.check_interrupts = self._requests.look_between
         self._go_live()  # where all trials had their result, and only the end was missing
         ctx.events.trial(len(planned), len(planned), "")
         again("confirming the truth", self._truth.end)
@@ -203,17 +194,17 @@ class Engine:
 
     def _go_through_again(self, trial: PlannedTrial) -> None:
         """A trial that has its result, where the world died with the bench."""
-        if self._rehearsed and self._left:
-            self._ctx.events.pose = trial.name
+        if self._rehearsed and self.left:
+            self.context.events.pose = trial.name
             self._trials.rehearsing = True
-            if trial.id in self._left.poison:
+            if trial.id in self.left.poison:
                 self._attempts.done += 1
             else:
                 self._attempts.run(trial)
 
     def _take_over(self) -> None:
         """Watch the bath, on from the run before where that left it heated. Raises its trip."""
-        ctx, before = self._ctx, self._ctx.before
+        ctx, before = self.context, self.context.before
         if before:
             ctx.watch.interlocks.heating(before.script.script.bath.set_point_c)
             before.trips.watch.stop()
@@ -225,7 +216,7 @@ class Engine:
 
     def _check_arm(self, when: str) -> None:
         """Touch the rig's check point, where it names one: a fact for the script's requirement."""
-        ctx, arm = self._ctx, self._ctx.rig.rig.arm
+        ctx, arm = self.context, self.context.rig.rig.arm
         if arm.check_point_mm is None:
             return
         ctx.events.state(f"checking the arm {when} the trials")
@@ -238,75 +229,77 @@ class Engine:
 
     def _checked_before(self) -> dict[str, Any] | None:
         """The last check before the trials of earlier sessions; none while it is gone through."""
-        if self._left is None or self._rehearsed:
+        if self.left is None or self._rehearsed:
             return None
-        facts, key = self._left.run.facts, CHECK_FACT.format(BEFORE)
+        facts, key = self.left.run.facts, CHECK_FACT.format(BEFORE)
         later = [facts.get(f"{key}, session {n}") for n in range(self._session - 1, 1, -1)]
         return next((fact for fact in (*later, facts.get(key)) if fact), None)
 
     def _fact(self, key: str, value: object) -> None:
         """Under its own name in the first session, apart from it in each later one."""
         session = "" if self._session == 1 else f", session {self._session}"
-        self._ctx.store.fact(f"{key}{session}", value)
+        self.context.store.fact(f"{key}{session}", value)
 
     def _sign_on(self) -> None:
-        arm = self._ctx.devices.arm
-        self._ctx.long("signing on to the arm", 120.0)
-        homed = self._ctx.before is not None and arm.homed
+        arm = self.context.devices.arm
+        self.context.long("signing on to the arm", 120.0)
+        homed = self.context.before is not None and arm.homed
         if not homed:
             arm.sign_on()
-        write_arm_facts(self._ctx.store, self._ctx.rig)
-        self._ctx.tip.refuse_other_arm()
+        write_arm_facts(self.context.store, self.context.rig)
+        self.context.tip.refuse_other_arm()
         if homed:
             return
-        self._ctx.ask(Homing(arm.homing))
+        self.context.ask(Homing(arm.homing))
         arm.confirm_homed()
 
     def _home(self, stage: Stage) -> None:
-        self._ctx.long("homing the stage", 600.0)
+        self.context.long("homing the stage", 600.0)
         stage.connect()
-        self._ctx.look()  # not check: what was announced goes on
+        self.context.look()  # not check: what was announced goes on
         stage.home()
-        self._ctx.check()
+        self.context.check()
 
     def _go_live(self) -> None:
         """The first trial without a result is next: from here on all is new, and on record."""
-        left, self._left = self._left, None
+        left, self.left = self.left, None
         self._trials.rehearsing = False
         if left is None:
             return
-        text = f"session {self._ctx.store.session} goes on after {plural(len(left.done), 'trial')}"
+        text = (
+            f"session {self.context.store.session} goes on after {plural(len(left.done), 'trial')}"
+        )
         if self._rehearsed:
             self._end_replay()
             same, differ = self._rehearsed.same, ", ".join(self._rehearsed.differ)
             text += f", gone through again on the emulated rig: {len(same)} with the same touches"
             if differ:
                 why = "The emulated world is not the one that the run began in: touches differ in"
-                self._ctx.events.warn(f"{why} {differ}.")
+                self.context.events.warn(f"{why} {differ}.")
                 but = "WHAT FOLLOWS IS NOT WHAT AN UNDISTURBED RUN WOULD GIVE"
                 text += f", other touches in {differ}: {but}"
-            self._ctx.event(EVENT, self._ctx.states.current.value)
-        self._ctx.event("resumed", text)
+            self.context.event(EVENT, self.context.states.current.value)
+        self.context.event("resumed", text)
 
     def _end_replay(self) -> None:
         if self._rehearsed:
             self._rehearsed.silent = False
-        self._ctx.events.replaying = ""
+        self.context.events.replaying = ""
 
     @property
     def _left_s(self) -> float | None:
         """How long the trials take; None while it is open whether they go on."""
-        watch = self._ctx.watch
-        ending = self._ctx.safing or self._ctx.away or watch.tripped or watch.silence
+        watch = self.context.watch
+        ending = self.context.safing or self.context.away or watch.tripped or watch.silence
         return None if ending else self._attempts.left_s
 
     @property
     def _settling_s(self) -> float:
-        return self._expected.settling_s if self._expected else 0.0
+        return self.expected.settling_s if self.expected else 0.0
 
     def _progress(self) -> dict[str, Any]:
         return {
-            "done": len(self._left.done) if self._left else self._attempts.done,
+            "done": len(self.left.done) if self.left else self._attempts.done,
             "left_s": self._left_s,
             "paused": self._requests.paused,
             "settling_s": self._settling_s,
@@ -316,7 +309,7 @@ class Engine:
         """The ending that ``why`` means, recorded; raises again what leaves no run to show."""
         self._reserve.give_back()
         self._end_replay()
-        tripped = self._ctx.watch.tripped
+        tripped = self.context.watch.tripped
         if tripped is None and isinstance(why, REQUESTS):
             self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return RunState.ABORTED
@@ -327,8 +320,8 @@ class Engine:
             raise cause
         if isinstance(cause, RECORD_FAULTS):
             reason = unwritten(cause)
-            self._kept(self._ctx.event, "fault", reason)
-            self._ctx.events.warn(f"{reason}. {cure_of(reason, self._ctx.store.folder)}")
+            self._kept(self.context.event, "fault", reason)
+            self.context.events.warn(f"{reason}. {cure_of(reason, self.context.store.folder)}")
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
@@ -336,23 +329,20 @@ class Engine:
             self._write_down("fault", f"{MISTAKE}: {named}")
             if isinstance(cause, MemoryError) or not isinstance(cause, FAILURES):
                 raise cause
-            self._keep_traceback(named, cause)
+            path = self.context.store.folder / TRACEBACK
+            self._kept(path.write_text, "".join(traceback.format_exception(cause)), "utf-8")
+            said = f"A mistake of the bench: {named}. Please report it with {path}."
+            self.context.events.warn(said)
         return RunState.FAULTED
-
-    def _keep_traceback(self, named: str, mistake: BaseException) -> None:
-        """Or what else came to this thread: a driver may raise in it from one of its own."""
-        path = self._ctx.store.folder / TRACEBACK
-        self._kept(path.write_text, "".join(traceback.format_exception(mistake)), "utf-8")
-        self._ctx.events.warn(f"A mistake of the bench: {named}. Please report it with {path}.")
 
     def _finish(self, ending: RunState) -> RunState:
         """To safe first, whatever disk, terminal and watch do; not where the rig stays warm."""
-        ctx = self._ctx
+        ctx = self.context
         self._reserve.give_back()
         ctx.check_interrupts = lambda: None
         said: list[str] = [STAYS_WARM]
         unsafe: Mapping[str, str] = {}
-        self.is_warm = self._more and ending is RunState.FINISHED and not ctx.watch.tripped
+        self.is_warm = self.more and ending is RunState.FINISHED and not ctx.watch.tripped
         if self.is_warm:
             ctx.trips.watch_beyond()
             ctx.long("beginning the next script", BETWEEN_S)
@@ -395,7 +385,7 @@ class Engine:
         """Into the record, or into the reserve where that takes nothing more: then it is faulted,
         if it was not before. ``left``: the instruments.
         """
-        store, session = self._ctx.store, self._ctx.store.session
+        store, session = self.context.store, self.context.store.session
         facts = dict[str, Any]()
         if left:
             facts[INSTRUMENTS_FACT] = {"session": session, "instruments": left}
@@ -407,7 +397,7 @@ class Engine:
             return ending
         if ending is RunState.FINISHED:
             ending = RunState.FAULTED
-            self._kept(self._ctx.event, "fault", f"{UNWRITTEN}: its end")
+            self._kept(self.context.event, "fault", f"{UNWRITTEN}: its end")
             self._kept(store.fact, "ending", ending.value)
         end = {"session": session, "facts": {**facts, "ending": ending.value}}
         self._reserve.leave(end, store.unwritten)
@@ -415,16 +405,16 @@ class Engine:
 
     def _show_safing(self) -> None:
         """Now and every second until all is safe."""
-        clock = self._ctx.clock
+        clock = self.context.clock
         if not self._ended:
             with suppress(*FAILURES):
-                self._ctx.show()
+                self.context.show()
             clock.call_at(clock.now() + LOOK_S, self._show_safing)
 
     def _write_down(self, kind: str, text: str) -> None:
         """An event, of which the run's end doesn't depend on whether it can be written."""
-        if not self._kept(self._ctx.event, kind, text):
-            self._ctx.events.warn(text)
+        if not self._kept(self.context.event, kind, text):
+            self.context.events.warn(text)
 
     def _kept(self, write: Callable[..., object], *what: object) -> bool:
         try:

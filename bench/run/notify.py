@@ -82,9 +82,14 @@ class Notifier:
             if found:
                 self._sent_s[kind] = stopwatch_s()
             for number, server in enumerate(self._servers if found else ()):
-                if not self._is_sent(server, *(found or ("", ""))) and number not in self._failed:
+                title, body = found or ("", "")
+                sent = False
+                with suppress(Exception):  # whatever a service's plug-in raises
+                    sent = bool(server.notify(title=title, body=body))
+                if not sent and number not in self._failed:
                     self._failed.add(number)
-                    self._warn(f"no message can be sent to {_named(server)}")
+                    address = str(server[0].url(privacy=True)).partition("?")[0]  # no secrets in it
+                    self._warn(f"no message can be sent to {address}")
 
     def _next(self) -> tuple[str, Message] | None:
         """The next message that may be sent, with its kind, waited for; None at the end."""
@@ -101,11 +106,6 @@ class Notifier:
     def _left_s(self, kind: str) -> float:
         sent_s = self._sent_s.get(kind)
         return 0.0 if sent_s is None else sent_s + self._every_s - stopwatch_s()
-
-    def _is_sent(self, server: Any, title: str, body: str) -> bool:
-        with suppress(Exception):  # whatever a service's plug-in raises
-            return bool(server.notify(title=title, body=body))
-        return False
 
 
 def _server(url: str) -> Any:
@@ -126,11 +126,6 @@ def _server(url: str) -> Any:
             " ntfy://ntfy.sh/TOPIC or mailto://NAME:PASSWORD@example.com."
         )
     return server
-
-
-def _named(server: Any) -> str:
-    """Its address without secrets, and without apprise's own settings."""
-    return str(server[0].url(privacy=True)).partition("?")[0]
 
 
 @contextmanager

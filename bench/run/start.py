@@ -153,7 +153,7 @@ def run_queue(
                 try:
                     if ended:
                         refuse_no_room(rig, len(script.planned), out)
-                    store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
+                    store = _begun(held, script, out, detectors)
                 except (ConfigError, KeyboardInterrupt) as error:
                     why = str(error) if isinstance(error, ConfigError) else INTERRUPTED
                     note.ends(why)
@@ -248,16 +248,9 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
     return make_detectors(*wanted)
 
 
-def _begun(
-    rig: LoadedRig,
-    script: LoadedScript,
-    out: Path,
-    under_test: Sequence[Detector],
-    how: RunOptions,
-    *,
-    warm: bool,
-) -> Store:
+def _begun(held: OpenRig, script: LoadedScript, out: Path, under_test: Sequence[Detector]) -> Store:
     """A new run folder that says what the run is."""
+    rig, how = held.rig, held.how
     files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files}
     files |= {**script.source_files, "rig.toml": rig.text, SCRIPT: script.text}
     table, trials = script.script, script.script.trials
@@ -285,7 +278,7 @@ def _begun(
             "detectors": list(how.detectors),
             "realtime": how.realtime,
             "speed": how.speed,
-            "warm": warm,  # the rig as the run before left it
+            "warm": held.is_warm,  # as the run before left it
             **({"recorded": True} if recorded else {}),  # cameras: it can't be resumed
         },
     }

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import InitVar, dataclass, field, replace
 from math import hypot
 
 import numpy as np
@@ -172,48 +172,48 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
     return made
 
 
+@dataclass(eq=False)
 class Attempts:
     """Runs planned trials by ``once``, each until done or skipped. ``through`` repeats work that an
     instrument interrupts; ``poison``: trials not tried again, with the reason; ``each_s``: expected
     of a trial; ``settling_s``: until the bath lets trials go on.
     """
 
-    def __init__(
-        self,
-        ctx: RunContext,
-        once: Callable[[PlannedTrial], None],
-        through: Callable[[str, Callable[[], None]], None] = lambda _, work: work(),
-        poison: Mapping[str, str] | None = None,
-        each_s: float | None = None,
-        settling_s: Callable[[], float] = lambda: 0.0,
-    ) -> None:
-        self._ctx, self._settling_s = ctx, settling_s
-        self._once = once
-        self._through = through
-        self._planned = len(ctx.script.planned)
-        self._poison = dict(poison or {})
-        self._each_s = each_s
-        self.done = 0
+    ctx: RunContext
+    once: Callable[[PlannedTrial], None]
+    through: Callable[[str, Callable[[], None]], None] = lambda _, work: work()
+    poison: Mapping[str, str] = field(default_factory=dict)
+    each_s: float | None = None
+    settling_s: Callable[[], float] = lambda: 0.0
+    done: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._planned = len(self.ctx.script.planned)
         self._started_s: float | None = None  # of the trial under way
         self._taken_s, self._timed = 0.0, -1  # of the trials but for the first
 
     def run(self, trial: PlannedTrial) -> None:
         """Until the trial is stored or skipped. Raises whatever else ``once`` raises."""
         started_s = self._started_s = self._working_s()
-        self._ctx.ask(NextTrial(trial.number, self._planned, lambda: self.left_s))
+        self.ctx.ask(NextTrial(trial.number, self._planned, lambda: self.left_s))
         worked = 0
         try:
-            if why := self._poison.get(trial.id):
+            if why := self.poison.get(trial.id):
                 raise OperatorSkip(why)
-            while not self._tried(trial):
-                pass
-            worked = 1  # one that was skipped says nothing of how long a trial takes
+            while not worked:  # one that was skipped says nothing of how long a trial takes
+                try:
+                    self.through(f"trial {trial.id}", lambda: self.once(trial))
+                    worked = 1
+                except OperatorRepeat as repeat:
+                    why = f"{trial.id}: the operator asked for it again from its set-up"
+                    why += f": {repeat.reason}" if repeat.reason else ""
+                    self.ctx.event("repeated", why)
         except OperatorSkip as skip:
-            by = "the bench" if trial.id in self._poison else "the operator"
+            by = "the bench" if trial.id in self.poison else "the operator"
             self._skipped(trial, skip.reason, f"{by} skipped it: ")
         except NoTruthError as none:
             self._skipped(trial, str(none))
-            self._ctx.events.warn(f"Trial {trial.id} is skipped. {none}")
+            self.ctx.events.warn(f"Trial {trial.id} is skipped. {none}")
         self.done += 1
         self._started_s = None
         self._timed += worked
@@ -224,55 +224,40 @@ class Attempts:
         """By the mean of the trials but for the first, until then by what was expected; of a world
         that passes faster for who watches it, in his own time.
         """
-        each_s = self._taken_s / self._timed if self._timed > 0 else self._each_s
+        each_s = self._taken_s / self._timed if self._timed > 0 else self.each_s
         if each_s is None:
             return None
         under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
         trials_s = each_s * (self._planned - self.done) - min(each_s, under_way_s)
-        return (trials_s + self._settling_s()) / float(getattr(self._ctx.clock, "speed", 1.0))
-
-    def _tried(self, trial: PlannedTrial) -> bool:
-        try:
-            self._through(f"trial {trial.id}", lambda: self._once(trial))
-        except OperatorRepeat as repeat:
-            message = f"{trial.id}: the operator asked for it again from its set-up"
-            self._ctx.event("repeated", f"{message}: {repeat.reason}" if repeat.reason else message)
-            return False
-        return True
+        return (trials_s + self.settling_s()) / float(getattr(self.ctx.clock, "speed", 1.0))
 
     def _skipped(self, trial: PlannedTrial, reason: str, by: str = "") -> None:
-        row = {**_head(trial), "t_s": self._ctx.clock.now(), "reason": reason}
-        self._ctx.store.skipped({"trial": row.pop("id"), **row})
-        self._ctx.event("skipped", f"{trial.id}: {by}{reason}")
+        row = {**_head(trial), "t_s": self.ctx.clock.now(), "reason": reason}
+        self.ctx.store.skipped({"trial": row.pop("id"), **row})
+        self.ctx.event("skipped", f"{trial.id}: {by}{reason}")
 
     def _working_s(self) -> float:
         """The time but for that which was no work at all."""
-        return self._ctx.clock.now() - self._ctx.states.away_s
+        return self.ctx.clock.now() - self.ctx.states.away_s
 
 
+@dataclass(eq=False)
 class TrialRun:
     """The trials of one run. ``exact_ends``: the exact truth, never scored against; ``recorder``
     gets each frame set; ``before``: earlier sessions. While ``rehearsing`` nothing is detected.
     """
 
-    def __init__(
-        self,
-        ctx: RunContext,
-        detectors: Sequence[Detector],
-        truth: TouchedTruth,
-        *,
-        exact_ends: Callable[[], NDArray[np.float64]] | None = None,
-        recorder: Recorder | None = None,
-        before: RunRecord | None = None,
-    ) -> None:
-        rig = ctx.rig.rig
-        self._ctx = ctx
+    ctx: RunContext
+    detectors: Sequence[Detector]
+    truth: TouchedTruth
+    exact_ends: Callable[[], NDArray[np.float64]] | None = None
+    recorder: Recorder | None = None
+    before: InitVar[RunRecord | None] = None
+    rehearsing: bool = field(default=False, init=False)
+
+    def __post_init__(self, before: RunRecord | None) -> None:
+        ctx, rig = self.ctx, self.ctx.rig.rig
         self._rig = rig
-        self._detectors = detectors
-        self._truth = truth
-        self._exact_ends = exact_ends
-        self._recorder = recorder
-        self.rehearsing = False
         self._teats_unknown = ""
         self._homed_in_vain = False
         self._moves = MoveCheck()
@@ -310,23 +295,23 @@ class TrialRun:
             if isinstance(why.__cause__, AstrayError) or not kept:
                 so_far.clear()
                 if kept_before:
-                    self._ctx.event("touches", f"{trial.id}: those kept so far are dropped")
+                    self.ctx.event("touches", f"{trial.id}: those kept so far are dropped")
             elif count := sum(map(len, so_far.values())):
-                self._ctx.event("touches", f"{trial.id}: {count} so far are kept")
+                self.ctx.event("touches", f"{trial.id}: {count} so far are kept")
             raise
         so_far.clear()
 
     def _run(self, trial: PlannedTrial) -> None:
-        ctx, there = self._ctx, shown(trial, self._axes)
+        ctx, there = self.ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
         ctx.live.expect(there.ends)
         started_s = ctx.clock.now()
-        self._truth.before(there)
+        self.truth.before(there)
         self._settle()
         ctx.states.to(RunState.RUNNING)
         settled_s = ctx.states.away_s
         self._move(trial)
-        asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
+        asked = replace(trial.arrangement(self._axes), unattended=self.truth.unattended(there))
         visible = ctx.ask(self._pictured(trial, asked)).visible
         ctx.wait(self._rig.cameras.settle_s)
         notes = list[str]()
@@ -374,17 +359,17 @@ class TrialRun:
         ctx.long("writing the trial", 60.0, silent=True)
         script = ctx.script.script
         write_trial(ctx.store, script, head, frames, answers, ends, truth_rows, truth.touches)
-        self._truth.stored(trial.id, truth)
-        if self._recorder and not self.rehearsing:
-            self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is TruthMethod.TOUCHED)
+        self.truth.stored(trial.id, truth)
+        if self.recorder and not self.rehearsing:
+            self.recorder.trial(trial.id, frames, ends, confirmed=truth.how is TruthMethod.TOUCHED)
 
     def _of_trial(self, there: ExpectedScene) -> tuple[TrialTruth, str]:
         """The truth, and what speaks against the stage's place. Raises DeviceError, once until
         there is a truth again, where a blocked carriage may have lost its place.
         """
-        stage, again, doubt = self._ctx.devices.stage, self._homed_in_vain, ""
+        stage, again, doubt = self.ctx.devices.stage, self._homed_in_vain, ""
         try:
-            truth = self._truth.of_trial(there, self._so_far)
+            truth = self.truth.of_trial(there, self._so_far)
             ends_mm = np.array([end.xyz_mm for end in truth.points])
             moved = there.trial, there.fixed, there.ends.expected_mm, ends_mm
             if stage and truth.how is TruthMethod.TOUCHED and (doubt := self._moves.doubt(*moved)):
@@ -394,8 +379,8 @@ class TrialRun:
                 self._moves.doubt(*moved)
                 doubt += ", after homing too. Something blocked the stage before, or the phantom"
                 doubt += f" was moved on it: in doubt is where the stage stood in {known}"
-                self._ctx.event("stage", f"{there.trial}: {doubt}")
-                self._ctx.events.warn(f"Trial {there.trial}: {doubt}.")
+                self.ctx.event("stage", f"{there.trial}: {doubt}")
+                self.ctx.events.warn(f"Trial {there.trial}: {doubt}.")
         except AstrayError as astray:
             self._homed_in_vain = True
             if stage is None or again:
@@ -417,11 +402,11 @@ class TrialRun:
             if off > ASTRAY_MM
         ]
         named = ((there.trial, end) for end in ends)
-        if why := next(iter(found or out_of_sight(named, self._ctx.rig.calibration)), None):
+        if why := next(iter(found or out_of_sight(named, self.ctx.rig.calibration)), None):
             raise NoTruthError("truth", why, hint="Is the rig's calibration of this table's frame?")
 
     def _stable(self) -> bool:
-        return self._ctx.watch.state == State.STABLE
+        return self.ctx.watch.state == State.STABLE
 
     def _look_at_teats(
         self, trial: PlannedTrial, frames: FrameSet, ends: Sequence[TrueEnd], bath_c: float
@@ -429,7 +414,7 @@ class TrialRun:
         """Where no sensor is at the teats, the thermal camera measures. Raises DeviceError for
         cold ones; why it can't is a fact of the run.
         """
-        ctx, emulation = self._ctx, self._rig.emulation
+        ctx, emulation = self.ctx, self._rig.emulation
         room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c
         shown = [k for k, end in enumerate(ends) if end.visible]
         ends_mm = np.array([ends[k].xyz_mm for k in shown]).reshape(-1, 3)
@@ -446,7 +431,7 @@ class TrialRun:
 
     def _settle(self) -> None:
         """Wait until the stability gate is open. Raises DeviceError after the script's time."""
-        ctx = self._ctx
+        ctx = self.ctx
         gate, start, watch = ctx.script.script.bath, ctx.clock.now(), ctx.watch
         if self._stable():
             return
@@ -468,9 +453,7 @@ class TrialRun:
         before = self._before
         if before is None or replace(before, unattended=asked.unattended) != asked:
             with suppress(OSError, ValueError):
-                path = write_set_up_picture(
-                    self._ctx.store.folder, trial.name, asked, self._ctx.rig
-                )
+                path = write_set_up_picture(self.ctx.store.folder, trial.name, asked, self.ctx.rig)
                 before = replace(asked, picture=str(path))
         self._before = before
         return replace(asked, picture=before.picture) if before else asked
@@ -479,7 +462,7 @@ class TrialRun:
         """Frames of a bath in its band: the trial is suspended until it is stable, and frames are
         taken again where it leaves its band (but for a recording's).
         """
-        ctx, recorded = self._ctx, self._rig.cameras.recorded
+        ctx, recorded = self.ctx, self._rig.cameras.recorded
         while True:
             while not self._stable():
                 why = ctx.watch.why_not_stable
@@ -500,7 +483,7 @@ class TrialRun:
 
     def _move(self, trial: PlannedTrial) -> None:
         """By way of the place from which the script has the pose reached, if it names one."""
-        ctx, stage, there = self._ctx, self._ctx.devices.stage, self._rig.stage
+        ctx, stage, there = self.ctx, self.ctx.devices.stage, self._rig.stage
         if stage is None or there is None:
             return
         ctx.events.state(f"moving the phantom: {trial.name}")
@@ -516,23 +499,23 @@ class TrialRun:
 
     def _detect(self, frames: FrameSet) -> list[Answer]:
         answers, known = list[Answer](), self._cameras.context
-        for detector in () if self.rehearsing else self._detectors:
+        for detector in () if self.rehearsing else self.detectors:
             what = f"detecting with {detector.name}"
-            self._ctx.events.state(what)
+            self.ctx.events.state(what)
             patience_s = 2.0 * self._rig.limits.detection_timeout_s
             if isinstance(detector, DetectorProcess):
                 patience_s = detector.patience_s
-            self._ctx.long(what, 10.0 + patience_s, silent=True)
+            self.ctx.long(what, 10.0 + patience_s, silent=True)
             answers.append(self._examiner.ask(detector, frames, known))
         return answers
 
     def _truth_rows(self, trial_id: str, frames: FrameSet, ends: Sequence[TrueEnd]) -> list[Row]:
         """What is stored of the true ends, with where the cameras show them."""
-        self._ctx.long("looking for the true ends in the pictures", 60.0, silent=True)
-        exact = self._exact_ends() if self._exact_ends else None
+        self.ctx.long("looking for the true ends in the pictures", 60.0, silent=True)
+        exact = self.exact_ends() if self.exact_ends else None
         places = [None] * len(ends) if exact is None else list(exact)
-        looked = self._ctx.store.keeps_pictures and not self.rehearsing
-        seen = where_seen(frames, self._ctx.rig.calibration, ends) if looked else {}
+        looked = self.ctx.store.keeps_pictures and not self.rehearsing
+        seen = where_seen(frames, self.ctx.rig.calibration, ends) if looked else {}
         return [
             truth_row(trial_id, end, place, seen.get(end.teat))
             for end, place in zip(ends, places, strict=True)

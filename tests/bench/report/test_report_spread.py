@@ -57,12 +57,8 @@ def table(parts: Sequence[Part], start: str) -> list[tuple[str, ...]]:
     ]
 
 
-def anchors(run: RunRecord) -> dict[str, str]:
-    return {trial.id: f"#trial-{trial.head['number']:03d}" for trial in run.trials}
-
-
 def spread(run: RunRecord) -> list[Part]:
-    return list(spread_parts(answered(run), "fused", 5.0, anchors(run), np.eye(3)))
+    return list(spread_parts(answered(run), "fused", 5.0, np.eye(3)))
 
 
 def answered(run: RunRecord) -> RunRecord:
@@ -100,7 +96,7 @@ def test_too_many_teats_are_one_cloud(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) -> None:
-    parts = list(pose_parts(two_teats, 5.0, anchors(two_teats)))
+    parts = list(pose_parts(two_teats, 5.0))
     drawn = message(parts, Figure, "Error over the plane")
     rows = error_rows(two_teats, "fused")
     places, (first, _) = pose_places(rows), teat_errors(rows)
@@ -116,7 +112,7 @@ def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) 
     assert drawn.facts.links.count("#trial-013") >= 1
     assert titles == ["teat 1", "12 found, 0 missed", "teat 2", "4 found, 8 missed"]
     few = replace(two_teats, trials=two_teats.trials[:9])
-    parts = list(pose_parts(few, 5.0, anchors(few)))
+    parts = list(pose_parts(few, 5.0))
     text = message(parts, Paragraph, "Error over the places, fused").text
     assert text.endswith("6 places of a teat are no map; 9 are the least.")
 

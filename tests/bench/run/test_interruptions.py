@@ -539,7 +539,7 @@ def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(
 
     cameras = CameraSet(dict.fromkeys(CAN_GIVE, opened), {})
     ctx: Any = SimpleNamespace(
-        _heartbeat=heartbeat,
+        heartbeat=heartbeat,
         devices=SimpleNamespace(cameras=cameras, heard={}),
         clock=VirtualClock(5.0),
         events=SimpleNamespace(state=print),
