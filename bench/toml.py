@@ -18,7 +18,7 @@ def toml_text(table: Mapping[str, Any], heading: str = "") -> str:
 
 def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     given = {key: value for key, value in table.items() if value is not None}
-    lines = [f"{key} = {_value(value)}" for key, value in given.items() if not _tables(value)]
+    lines = [f"{key} = {value_text(value)}" for key, value in given.items() if not _tables(value)]
     for key, value in given.items():
         here = (*path, key)
         if isinstance(value, Mapping):
@@ -34,7 +34,8 @@ def _tables(value: Any) -> bool:
     return isinstance(first, Mapping)
 
 
-def _value(value: Any) -> str:
+def value_text(value: Any) -> str:
+    """One value on its line; a table as an inline one."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int | float):
@@ -44,6 +45,8 @@ def _value(value: Any) -> str:
     if isinstance(value, str):
         # TOML's basic strings have JSON's escapes
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    items = [_value(item) for item in value]
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {value_text(one)}' for key, one in value.items())} }}"
+    items = [value_text(item) for item in value]
     flat = f"[{', '.join(items)}]"
     return flat if len(flat) <= WIDTH else "[\n" + "".join(f"  {item},\n" for item in items) + "]"

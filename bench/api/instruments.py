@@ -115,8 +115,8 @@ def record_frames(
         writer, table, clock = RecordingWriter(folder), cameras.table, cameras.clock
     if cameras.rig.made_calibration is not None:
         writer.add_calibration(read_text(cameras.rig.calibration_path))
-    say, checks = (lambda _, text: warn(text)), cameras.checks
-    taker = FrameTaker(cameras.frame_set, table, None, clock.sleep, say, checks=checks)
+    known, say = cameras.rig.made_calibration, lambda _, text: warn(text)
+    taker = FrameTaker(cameras.frame_set, table, known, clock.sleep, say, flat=False)
     for number in range(count):
         if number:
             clock.sleep(table.settle_s)

@@ -14,7 +14,7 @@ from bench.arguments import GuardedProxy
 from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow
 from bench.rig.devices import Devices
-from bench.rig.frame_capture import FrameChecks, FrameTaker
+from bench.rig.frame_capture import FrameTaker
 from bench.rig.leaving import to_stderr
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import ALL, open_instruments
@@ -228,11 +228,9 @@ class OpenRig:
         """
         cameras = self.cameras  # refused where the rig was left
         if self._taker is None:
-            table = self.loaded.rig.cameras
+            given = (cameras, self.loaded.rig.cameras, self.calibration, self.wait)
             # nothing warm need be seen: the bath may be cold
-            checks = FrameChecks(table.checks, table.max_skew_s, self.calibration, flat=False)
-            given = (cameras, table, self.calibration, self.wait)
-            self._taker = FrameTaker(*given, lambda _, text: self._warn(text), checks=checks)
+            self._taker = FrameTaker(*given, lambda _, text: self._warn(text), flat=False)
         self.check()
         return Shot(self._taker.take(), self.calibration)
 

@@ -128,9 +128,7 @@ def show(given: argparse.Namespace) -> int:
 def _next_look(
     alone: bench.OpenCameras, clock: Clock, end_s: float, every_s: float
 ) -> Mapping[str, Any]:
-    """Pictures of all cameras, as soon as all come whole: no frame ends the wait. Raises FrameError
-    after ``end_s``.
-    """
+    """Pictures of all cameras, once all come whole. Raises FrameError after ``end_s``."""
     while True:
         try:
             return alone.look()

@@ -1,4 +1,4 @@
-"""The commands of campaigns: many simulated scenes, scored or searched without instruments."""
+"""The commands of campaigns: many simulated scenes, scored without instruments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.config import ConfigError
 # flag -> key of a plan, in its order
 SAME = ("first", "seed", "rig", "calibration", "limit_mm", "chunk_scenes")
 FLAGS = {"family": "families", "scenes": "scenes", "half_width": "half_width"}
-FLAGS |= {"detector": "detectors", **{name: name for name in SAME}}
+FLAGS |= {"detector": "detectors", **{name: name for name in SAME}, "perturb": "perturbations"}
 
 
 def run(given: argparse.Namespace) -> int:
@@ -96,21 +96,14 @@ def plain_table(names: list[str], rows: list[list[str]]) -> str:
 
 def _plan(given: argparse.Namespace) -> bench.CampaignPlan:
     """Of the file, or of the flags. Raises ConfigError."""
-    flags = {
-        key: value
-        for flag, key in FLAGS.items()
-        if (value := getattr(given, flag, None)) not in (None, [])
-    }
-    if perturbed := getattr(given, "perturb", None):
-        flags["perturbations"] = perturbed
-    if given.plan is not None:
-        if flags:
-            raise ConfigError.plain(
-                f"{', '.join(flags)}: both a plan and flags say what is asked for; put it into"
-                f" {given.plan}, or leave that out"
-            )
-        return bench.make_plan(given.plan)
-    return bench.make_plan(flags)
+    asked = ((key, getattr(given, flag)) for flag, key in FLAGS.items())
+    flags = {key: value for key, value in asked if value not in (None, [])}
+    if given.plan and flags:
+        raise ConfigError.plain(
+            f"{', '.join(flags)}: both a plan and flags say what is asked for; put it into"
+            f" {given.plan}, or leave that out"
+        )
+    return bench.make_plan(given.plan or flags)
 
 
 def _say(text: str) -> None:

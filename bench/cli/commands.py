@@ -104,17 +104,9 @@ FIRST_SEEDS = (
     SCENE_SEED,
 )
 CAMPAIGN = option("folder DIR", "the campaign's folder")
-PLAN_OR_FAMILIES = (
-    option("plan PLAN", "a .toml file in place of the options (help campaigns)", Path, nargs="?"),
-    option("--family NAME", ALL, many=True),
-)
 FIRST_MEMBER = option(
     "--first N", "number of the first member of each family (default: 0)", whole(0)
 )
-CALIBRATION = option(
-    "--calibration FILE", "the calibration that detectors get (default: the cameras' own)", str
-)
-LARGEST = option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH)
 
 ARM_LINK = (
     CAPTURE,
@@ -440,7 +432,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "campaign run": (
         "score detectors on many simulated scenes; given again, it goes on where it stopped",
         "campaign run --family ideal --scenes 40 --detector fused --seed 7 --out campaigns/ideal",
-        *PLAN_OR_FAMILIES,
+        option(
+            "plan PLAN", "a .toml file in place of the options (help campaigns)", Path, nargs="?"
+        ),
+        option("--family NAME", ALL, many=True),
         option("--scenes N", "scenes of each family (default: 100)", whole(1, 10_000_000)),
         option(
             "--half-width W",
@@ -453,9 +448,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "--seed N", "seed of noise and of the cameras' fixed patterns (default: 1)", whole(0)
         ),
         CAMERAS_OF,
-        CALIBRATION,
+        option(
+            "--calibration FILE",
+            "the calibration that detectors get (default: the cameras' own)",
+            str,
+        ),
         PERTURB,
-        LARGEST,
+        option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
         option("--chunk-scenes N", "scenes of a chunk (default: up to 50)", whole(1, 10_000)),
         one_of(
             WORKERS,
@@ -963,8 +962,6 @@ def exit_codes(name: str) -> Mapping[str, str]:
 
 
 def interrupted(name: str) -> str:
-    """What stands once Ctrl-C has ended the command, and what to do; of one without a row, that
-    nothing is known.
-    """
+    """What stands once Ctrl-C has ended the command, and what to do."""
     rows = table("endings")["interrupted"]
     return next((str(row["text"]) for row in rows if name in row["of"]), "it may be half done")

@@ -9,7 +9,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import bench
@@ -44,12 +44,10 @@ def run(given: argparse.Namespace) -> int:
             found = [seen for _, seen in done]
             print_json({"scripts": found} if found[1:] else found[0], indent=1)
         return max(code for code, _ in done)
-    if given.console:
-        from bench.cli.console import beside
+    from bench.cli.console import beside
 
-        with beside(given.out):
-            return _run(given, rig, scripts)
-    return _run(given, rig, scripts)
+    with beside(given.out) if given.console else nullcontext():
+        return _run(given, rig, scripts)
 
 
 Word = Callable[[Sequence["bench.RunStatus"], str], None]
@@ -128,9 +126,7 @@ def _summarize(given: argparse.Namespace, found: bench.Reported | str = "") -> N
 
 @contextmanager
 def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> Iterator[Word]:
-    """Sends word of what happens; gives what sends the last one, of all runs as they ended, and
-    how their queue did, where they are one.
-    """
+    """Sends word of what happens; gives what sends the last one, of all runs and their queue."""
     from bench.run.notify import notifying, text_of
 
     with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:

@@ -121,9 +121,7 @@ COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )((?:[^\n']| '[^\n']
 
 
 def print_wrapped(console: Console, text: str, style: str = "") -> None:
-    """``text`` wrapped between words; a command at its end on a line of its own, to be pasted.
-    In a file lines stay whole, for who searches them.
-    """
+    """``text`` wrapped, a command at its end on a line of its own; in a file lines stay whole."""
     command = COMMAND.search(text) if console.is_terminal else None
     before, piped = f"{text[: command.start()]}:" if command else text, not console.is_terminal
     console.print(before, style=style, markup=False, highlight=False, soft_wrap=piped)
@@ -132,9 +130,7 @@ def print_wrapped(console: Console, text: str, style: str = "") -> None:
 
 
 def print_table(console: Console, table: Table) -> None:
-    """``table`` with each word whole; where a terminal has no room for that, each row as a text. A
-    file or a pipe has no edge.
-    """
+    """``table`` with whole words; each row as a text where a terminal has no room for that."""
     wide = console.options.update(width=10_000)
     needs = table.__rich_measure__(console, wide)
     if not console.is_terminal:
@@ -173,9 +169,7 @@ class _Printed(SanitizedStream):
 
 
 class _Display(Live):
-    """What is written above it is not parted by a refresh: rich moves by the rows that it drew
-    last, which may be others by then.
-    """
+    """Its lock keeps a refresh from parting what is written above it."""
 
     def above(self, write: Callable[[], None]) -> None:
         with self._lock:

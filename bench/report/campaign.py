@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import shlex
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import ceil, floor
 from pathlib import Path
+from typing import Any
 
 from bench.campaign.chunk import FALSE_SD_MM, WRONG_MM, WRONG_SD, Bench, Scene
 from bench.campaign.numbers import (
@@ -202,32 +203,29 @@ def _figures(numbers: Numbers, plan: CampaignPlan) -> Iterator[Figure]:
         span = plan.interval(one.failures, one.scenes) if one else None
         return (one.failures / one.scenes, *span) if one and span else None
 
+    def alt(figures: Mapping[str, Sequence[Any]], said: Callable[[Any], str]) -> str:
+        return "; ".join(
+            f"{name}, {family}: {NOT_MEASURED if one is None else said(one)}"
+            for name, each in figures.items()
+            for family, one in zip(names, each, strict=True)
+        )
+
     rates = {name: [rate(of.get(f)) for f in numbers.families] for name, of in by_name.items()}
-    alt = "; ".join(
-        f"{name}, {family}: {NOT_MEASURED if one is None else percent(one[0])}"
-        for name, each in rates.items()
-        for family, one in zip(names, each, strict=True)
-    )
     yield Figure(
         rate_intervals(names, rates),
         "Failure rates with 95 % intervals, two-sided. Intervals that overlap much don't separate"
         " two detectors; 'teatbench campaign compare' does, scene by scene.",
-        alt,
+        alt(rates, lambda one: percent(one[0])),
     )
     spreads = {
         name: [getattr(of.get(family), "spread_mm", None) for family in numbers.families]
         for name, of in by_name.items()
     }
-    alt = "; ".join(
-        f"{name}, {family}: {NOT_MEASURED if one is None else f'median {one[2]:.2f} mm'}"
-        for name, each in spreads.items()
-        for family, one in zip(names, each, strict=True)
-    )
     yield Figure(
         error_spreads(names, spreads, plan.limit_mm),
         "Each scene's largest error of a found teat end: median, the middle half (thick) and 90 %"
         " (thin).",
-        alt,
+        alt(spreads, lambda one: f"median {one[2]:.2f} mm"),
     )
     for number, each in enumerate(numbers.maps, 1):
         yield _map_figure(each, number, plan)
@@ -361,11 +359,9 @@ def _sure(numbers: Numbers) -> Part:
         wrong = Cell(str(one.sure_wrong), "bad" if one.sure_wrong else "plain")
         figures = (one.found, one.stated, share, one.nees, wrong)
         rows.append((spoken(one.family), one.detector, *figures))
-    return table(
-        "stated_sds",
-        rows,
-        searchable=len(rows) > 10,
-        wrong_mm=WRONG_MM,
-        wrong_sd=WRONG_SD,
-        false_sd_mm=FALSE_SD_MM,
-    )
+    limits: dict[str, Any] = {
+        "wrong_mm": WRONG_MM,
+        "wrong_sd": WRONG_SD,
+        "false_sd_mm": FALSE_SD_MM,
+    }
+    return table("stated_sds", rows, searchable=len(rows) > 10, **limits)

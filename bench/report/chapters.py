@@ -34,8 +34,6 @@ def page_of(
     about: Mapping[str, str] | None = None,
     **more: Any,
 ) -> Page:
-    """The chapters ``shown``, then those ``folded``, as `sections`; ``more`` are fields of a
-    `Page`.
-    """
+    """The chapters ``shown``, then ``folded``, as `sections`; ``more``: fields of a `Page`."""
     both = (*sections(shown), *sections(folded, about, folded=True))
     return Page(title, subtitle, banner, both, **{"glossary": terms(), **more})

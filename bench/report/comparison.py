@@ -593,7 +593,20 @@ def _changed(comparison: Comparison) -> Table:
 def baseline_parts(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Iterator[Part]:
     """The run in ``folder`` (new) against ``baseline`` (old). Raises ConfigError."""
     for number, one in enumerate(compare_folders([baseline, folder], damage=damage), 1):
-        yield from _figure(one, number)
+        pairs = [
+            (max(p.old.radial_mm), max(p.new.radial_mm), p.new.limit_mm)
+            for p in one.pairs
+            if p.old.radial_mm and p.new.radial_mm
+        ]
+        if pairs:
+            old, new, limits = zip(*pairs, strict=True)
+            svg = change_scatter(old, new, max(limits), name=f"change-{number}")
+            alt = (
+                f"{len(pairs)} scenes that both found teats in: the largest error grew in"
+                f" {sum(b > a for a, b, _ in pairs)}, shrank in {sum(b < a for a, b, _ in pairs)}"
+            )
+            of = f"Largest error of each scene, now against the baseline, {one.new.detector}."
+            yield Figure(svg, f"{of} {alt}.", alt)
         yield from comparison_parts(one)
 
 
@@ -614,21 +627,3 @@ def detectors_parts(run: RunRecord) -> Iterator[Part]:
                     )
                 elif not isinstance(part, KeyValues):
                     yield part
-
-
-def _figure(found: Comparison, number: int) -> Iterator[Part]:
-    both = [
-        (max(p.old.radial_mm), max(p.new.radial_mm), p.new.limit_mm)
-        for p in found.pairs
-        if p.old.radial_mm and p.new.radial_mm
-    ]
-    if not both:
-        return
-    old, new, limits = zip(*both, strict=True)
-    svg = change_scatter(old, new, max(limits), name=f"change-{number}")
-    alt = (
-        f"{len(both)} scenes that both found teats in: the largest error grew in"
-        f" {sum(b > a for a, b, _ in both)}, shrank in {sum(b < a for a, b, _ in both)}"
-    )
-    caption = f"Largest error of each scene, now against the baseline, {found.new.detector}. {alt}."
-    yield Figure(svg, caption, alt)

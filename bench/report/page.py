@@ -134,7 +134,42 @@ def build_page(
     undecided = undecided_of(judgements)
     looked, count = first_trials(run, undecided), len(run.trials)
     few = in_page(count, len(run.detectors))
-    behind = _behind(run, status, rules, calibration, baseline, undecided)
+    limit_mm, links = rules.visible_within_mm, first_looks(run, undecided)
+    trials: Chapters = {
+        "trial-list": ("All trials", (*([links] if links else []), trial_table(run))),
+        "deviations": ("Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
+        "blamed": ("What went wrong where", tables.attribution_parts(run, calibration)),
+    }
+    accuracy: Chapters = {
+        "results": ("Results by situation", _result_parts(run, rules)),
+        "detectors": ("Detectors compared", detectors_parts(run)),
+        "baseline": ("Against the baseline", baseline),
+        "accuracy": ("Errors", _accuracy_parts(run, rules, calibration)),
+        "poses": ("Poses", pose_parts(run, limit_mm)),
+        "latency": ("Time", _latency_parts(run, rules)),
+    }
+    reference = (
+        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
+        *gage_parts(run, limit_mm),
+        *(*arm_parts(run), *record_parts(run)),
+    )
+    pages: Mapping[str, tuple[str, Chapters]] = {
+        "page-trials": ("Trials", trials),
+        "page-accuracy": ("Accuracy", accuracy),
+        "page-truth": (
+            "Truth and uncertainty",
+            {"reference": ("Measurand and reference", reference)},
+        ),
+        "page-bath": (
+            "Bath and interlocks",
+            {"environment": ("Bath and environment", bath_parts(run, rules))},
+        ),
+        "page-provenance": (
+            "Provenance",
+            {"provenance": ("Who, with what, when", provenance_parts(run, status))},
+        ),
+    }
+    behind = {anchor: (title, sections(of)) for anchor, (title, of) in pages.items()}
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     drawing = parts or TrialParts()
     made = tuple(drawing.of(run, calibration, folder, copied=None if few else looked))
@@ -194,53 +229,6 @@ ABOUT = {
     "page-truth": "what is measured, how well",
     "page-provenance": "item, versions, files, command",
 }
-
-
-def _behind(
-    run: RunRecord,
-    status: RunStatus,
-    rules: Rules,
-    calibration: Calibration,
-    baseline: Iterable[Part],
-    undecided: frozenset[str],
-) -> Mapping[str, tuple[str, Sequence[Part]]]:
-    """What stands behind the first page, by anchor: a title and its chapters."""
-    limit_mm, looks = rules.visible_within_mm, first_looks(run, undecided)
-    trials: Chapters = {
-        "trial-list": ("All trials", (*([looks] if looks else []), trial_table(run))),
-        "deviations": ("Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
-        "blamed": ("What went wrong where", tables.attribution_parts(run, calibration)),
-    }
-    accuracy: Chapters = {
-        "results": ("Results by situation", _result_parts(run, rules)),
-        "detectors": ("Detectors compared", detectors_parts(run)),
-        "baseline": ("Against the baseline", baseline),
-        "accuracy": ("Errors", _accuracy_parts(run, rules, calibration)),
-        "poses": ("Poses", pose_parts(run, limit_mm)),
-        "latency": ("Time", _latency_parts(run, rules)),
-    }
-    reference = (
-        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
-        *gage_parts(run, limit_mm),
-        *(*arm_parts(run), *record_parts(run)),
-    )
-    pages: Mapping[str, tuple[str, Chapters]] = {
-        "page-trials": ("Trials", trials),
-        "page-accuracy": ("Accuracy", accuracy),
-        "page-truth": (
-            "Truth and uncertainty",
-            {"reference": ("Measurand and reference", reference)},
-        ),
-        "page-bath": (
-            "Bath and interlocks",
-            {"environment": ("Bath and environment", bath_parts(run, rules))},
-        ),
-        "page-provenance": (
-            "Provenance",
-            {"provenance": ("Who, with what, when", provenance_parts(run, status))},
-        ),
-    }
-    return {anchor: (title, sections(of)) for anchor, (title, of) in pages.items()}
 
 
 def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> str:

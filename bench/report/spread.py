@@ -228,9 +228,7 @@ def spread_parts(
 def _drawn(
     run: RunRecord, detector: str, teats: Sequence[TeatErrors], limit_mm: float, turn: Floats
 ) -> Figure:
-    """Each teat's pose means with its 95 % ellipsoid; too many teats are one group. ``turn``: into
-    the camera's axes.
-    """
+    """Each teat's pose means with its 95 % ellipsoid, or of all together where teats are many."""
     anchors = anchors_of(run)
     clouds = [
         (f"teat {one.teat}", one.means_mm, one.worst_trials, one.bias.common_mm2) for one in teats

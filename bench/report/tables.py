@@ -213,7 +213,16 @@ def score_table(run: RunRecord) -> str:
     widths = [max(map(len, column)) for column in zip(HEAD, *rows, strict=True)]
     head, *lines = (f"| {' | '.join(map(str.ljust, row, widths))} |" for row in (HEAD, *rows))
     rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
-    return "\n".join([head, rule, *lines, "", *_notes(run)])
+    notes = []
+    for detector in run.detectors:
+        times = latency_of(run, detector)
+        cold = listed([1e3 * seconds for seconds in times.cold_s], ".0f")
+        cold = f"{cold} ms" if cold else NOT_MEASURED
+        up_s = times.start_up_s
+        start = "" if up_s is None else f", start-up {1e3 * up_s:.0f} ms at most"
+        notes.append(f"{detector}: first call {cold}{start}. {times.starved}".strip())
+    notes.append(f"Errors are of found teats only. {LATENCY_RULE}")
+    return "\n".join([head, rule, *lines, "", *notes])
 
 
 def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...]:
@@ -232,17 +241,6 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
         listed([1e3 * s for s in seconds if s is not None], ".0f") or NOT_MEASURED,
         failures_text(times),
     )
-
-
-def _notes(run: RunRecord) -> Iterator[str]:
-    for detector in run.detectors:
-        times = latency_of(run, detector)
-        cold = listed([1e3 * seconds for seconds in times.cold_s], ".0f")
-        cold = f"{cold} ms" if cold else NOT_MEASURED
-        up_s = times.start_up_s
-        start = "" if up_s is None else f", start-up {1e3 * up_s:.0f} ms at most"
-        yield f"{detector}: first call {cold}{start}. {times.starved}".strip()
-    yield f"Errors are of found teats only. {LATENCY_RULE}"
 
 
 def attribution_parts(run: RunRecord, calibration: Calibration | None = None) -> Iterator[Part]:

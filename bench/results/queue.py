@@ -75,9 +75,9 @@ class QueueStatus:
             | {"status": one.status.as_dict() if one.status else None}
             for one in self.scripts
         ]
-        said = {"headline": self.headline, "under_way": self.under_way, "ended": self.ended}
-        head = {"name": self.name, "rig": self.rig, "started": self.started}
-        return {"schema_version": VERSION, **head, **said, "scripts": shown}
+        keys = ("name", "rig", "started", "headline", "under_way", "ended")
+        said = {key: getattr(self, key) for key in keys}
+        return {"schema_version": VERSION, **said, "scripts": shown}
 
 
 @dataclass(slots=True)

@@ -270,8 +270,7 @@ class RunStatus:
         shown = asdict(self)
         for of, one in zip(shown["instruments"], self.instruments, strict=True):
             of |= {"text": one.text, "trouble": one.trouble}
-        said = {"word": self.word, "headline": self.headline, "trials": self.trials}
-        said |= {"waiting": self.waiting}
+        said = {key: getattr(self, key) for key in ("word", "headline", "trials", "waiting")}
         return {"schema_version": VERSION, **shown, **said, "unsafe": [*self.unsafe]}
 
 
@@ -324,12 +323,9 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
     if state is State.RUNNING and live:
         status = replace(_as_asked(live.later(run.folder), run.folder), damage=run.damage)
     elif state is not State.FINISHED or run.damage:
-        trip = [event["text"] for event in run.events if event["kind"] == TRIP]
-        status = replace(
-            status,
-            instruments=_left(run, state, live),
-            tripped=trip[-1] if trip and run.tripped else "",
-        )
+        trips = [event["text"] for event in run.events if event["kind"] == TRIP]
+        tripped = trips[-1] if trips and run.tripped else ""
+        status = replace(status, instruments=_left(run, state, live), tripped=tripped)
     else:
         word = "inconclusive" if run.facts.get(DOUBTS_FACT) else "no verdict"
         made = {one.detector: one.verdict.value for one in judgements}

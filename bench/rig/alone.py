@@ -59,8 +59,7 @@ class OpenCameras:
     @property
     def checks(self) -> FrameChecks:
         """The rig's looks; a phantom that is still cold is no fault here."""
-        table, calibration = self.table, self.rig.made_calibration
-        return FrameChecks(table.checks, table.max_skew_s, calibration, flat=False)
+        return FrameChecks(self.table, self.rig.made_calibration, flat=False)
 
     def describe(self) -> dict[str, Any]:
         """``identity``; of all ``cameras`` what a picture says, units in its keys; and the
@@ -77,9 +76,7 @@ class OpenCameras:
 
 @contextmanager
 def open_cameras(sources: Sequence[str]) -> Iterator[OpenCameras]:
-    """Cameras of a rig (none: the emulated one) or by URL, until the block ends. Raises
-    ConfigError, InstrumentError.
-    """
+    """Cameras of a rig (default: emulated) or by URL. Raises ConfigError, InstrumentError."""
     by_url = any(source.partition(":")[0] in ("opencv", "genicam", "files") for source in sources)
     if by_url and len(sources) > len(KNOWN):
         raise ConfigError.plain(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -104,7 +104,7 @@ class EmulatedRig:
             mistakes=emulation.mistakes,
         )
         self._clock, self._host, self._pty, self._paced = clock, host, pty, paced
-        self._listeners: dict[str, Listener | PtyListener] = {}
+        self.listeners: dict[str, Listener | PtyListener] = {}  # each end of a cable
         placed = Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
         self.arm = ArmEmulator(
             PlacedHand(self.world, placed),
@@ -119,7 +119,7 @@ class EmulatedRig:
         # on a port of its own; without one, and with a controller that turns none, the pump stands
         framing = self._framing(relay) if relay else None
         self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
-        self.stage = self._stage(r.stage, emulation.stage) if r.stage else None
+        self.stage = self._stage(r, r.stage) if r.stage else None
         self._plugged = self._plugged_emulators(r)
         try:
             for at, fault in enumerate(emulation.faults):
@@ -167,7 +167,7 @@ class EmulatedRig:
         for name, (one, baud) in served.items():
             how: dict[str, Any] = {"lock": self.world.lock, "name": name}
             how["baud"] = baud if self._paced else None
-            self._listeners[name] = (
+            self.listeners[name] = (
                 PtyListener(one, self._clock, **how)
                 if self._pty and baud is not None
                 else Listener(
@@ -198,7 +198,7 @@ class EmulatedRig:
     def follow_stage(self, rig: Rig, position_mm: Callable[[], Sequence[float]]) -> None:
         """Have the phantom stand where a stage that isn't emulated says it is."""
         assert rig.stage  # noqa: S101 - there is one
-        self.world.stage_pose = self._mounted(rig.stage, rig.emulation.stage, position_mm)
+        self._mounted(rig.emulation.stage, rig.stage, position_mm)
         self.world.stage_velocity = lambda: (0.0, 0.0, 0.0)
 
     def follow_bath(self, reading: BathReading) -> None:
@@ -219,7 +219,7 @@ class EmulatedRig:
     @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
-        urls = {name: listener.url for name, listener in self._listeners.items()}
+        urls = {name: listener.url for name, listener in self.listeners.items()}
         for name, device in (("bath", self._bath), ("pump", self.pump)):
             if device and name in urls:
                 scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
@@ -228,13 +228,8 @@ class EmulatedRig:
                     urls[name] += AS_A_PTY
         return urls
 
-    @property
-    def listeners(self) -> Mapping[str, Listener | PtyListener]:
-        """Each instrument's end of its cable."""
-        return self._listeners
-
     def close(self) -> None:
-        for listener in self._listeners.values():
+        for listener in self.listeners.values():
             listener.close()
         self.world.close()
 
@@ -244,8 +239,9 @@ class EmulatedRig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _stage(self, said: Stage, errors: EmulatedStage) -> StageEmulator:
+    def _stage(self, rig: Rig, said: Stage) -> StageEmulator:
         """A stage that carries the phantom; at its reference place it stands as laid out."""
+        errors = rig.emulation.stage
         axes = 4 if "A" in said.axes else 3
         steps = {100 + "XYZA".index(a): n for a, n in zip(said.axes, said.microsteps, strict=False)}
         play_mm = (*errors.backlash_mm, errors.backlash_deg)[:axes]
@@ -257,8 +253,7 @@ class EmulatedRig:
             play_mm=play_mm,
             high_mm=errors.high_mm and errors.high_mm[:axes],
         )
-        mounting = self._mounting(said, errors)
-        pose = self._mounted(said, errors, lambda: stage.position_mm().tolist())
+        mounting = self._mounted(errors, said, lambda: stage.position_mm().tolist())
 
         def velocity() -> tuple[float, float, float]:
             with self.world.lock:
@@ -266,26 +261,23 @@ class EmulatedRig:
                 now, later = mounting.pose(place.tolist()), mounting.pose((place + way).tolist())
             return later.x_mm - now.x_mm, later.y_mm - now.y_mm, later.z_mm - now.z_mm
 
-        self.world.stage_pose, self.world.stage_velocity = pose, velocity
+        self.world.stage_velocity = velocity
         return stage
 
-    @staticmethod
-    def _mounting(said: Stage, errors: EmulatedStage) -> Mounting:
-        reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)
-        return Mounting(
-            said.axes, reference, errors.scale_errors, errors.squareness_rad, errors.yaw_rad
-        )
-
     def _mounted(
-        self, said: Stage, errors: EmulatedStage, position_mm: Callable[[], Sequence[float]]
-    ) -> Callable[[], PlatePose]:
-        mounting = self._mounting(said, errors)
+        self, errors: EmulatedStage, said: Stage, position_mm: Callable[[], Sequence[float]]
+    ) -> Mounting:
+        """Have the phantom stand on the stage; how it is mounted there."""
+        reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)
+        wrong = errors.scale_errors, errors.squareness_rad, errors.yaw_rad
+        mounting = Mounting(said.axes, reference, *wrong)
 
         def pose() -> PlatePose:
             with self.world.lock:
                 return mounting.pose(list(position_mm()))
 
-        return pose
+        self.world.stage_pose = pose
+        return mounting
 
     def _plan(self, fault: EmulatedFault) -> None:
         """Put a fault in at its time and take it out at its end."""

@@ -15,7 +15,6 @@ a command of another, and what has answered is asked nothing else:
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
@@ -28,6 +27,7 @@ from bench.rig.model import Arm
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
 from bench.rig.urls import bath_url, serial_url
+from bench.toml import value_text
 from instruments.bath.profile import load_profile, profile_names
 from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, ProtocolError
@@ -194,9 +194,7 @@ KEPT = ("cameras", "cameras.checks", "limits")  # all of their keys have default
 def rig_text(
     example: str, values: Mapping[str, Mapping[str, object]], missing: Mapping[str, str], about: str
 ) -> str:
-    """The ``example`` with ``values`` by table and key; other keys and tables stay as comments. A
-    table in ``missing`` has its url to be filled in.
-    """
+    """The ``example`` with ``values``, the rest as comments; ``missing``: urls to be filled in."""
     given = {name: dict(table) for name, table in values.items()}
     for name, url in missing.items():
         given.setdefault(name, {}).setdefault("url", url)
@@ -212,14 +210,9 @@ def rig_text(
             if key[1] in own:
                 marked = key[1] == "url" and table in missing
                 said = ". ".join(filter(None, (MISSING if marked else "", key[2])))
-                line = f"{key[1]} = {_toml(own[key[1]])}".ljust(31) + (f" # {said}" if said else "")
+                line = f"{key[1]} = {value_text(own[key[1]])}".ljust(31)
+                line += f" # {said}" if said else ""
             else:
                 off = "# "
         lines.append(f"{off}{line}" if line else "")
     return "\n".join(lines) + "\n"
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_toml(one)}" for key, one in value.items()) + " }"
-    return json.dumps(value, ensure_ascii=False)

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.rig.model import Cameras as CamerasTable
-from bench.rig.model import Checks
 from detector.calibration import Calibration
 from detector.geometry import Array
 from instruments.camera.cameras import CAN_GIVE
@@ -130,14 +129,9 @@ class FrameChecks:
     """
 
     def __init__(
-        self,
-        checks: Checks,
-        max_skew_s: float,
-        calibration: Calibration | None,
-        *,
-        flat: bool = True,
+        self, table: CamerasTable, calibration: Calibration | None, *, flat: bool = True
     ) -> None:
-        self._checks, self._max_skew_s = checks, max_skew_s
+        self._checks, self._max_skew_s = table.checks, table.max_skew_s
         self._calibration, self._flat = calibration, flat
         self._order: StereoOrder | None = None
         self._last: FrameSet | None = None
@@ -269,7 +263,9 @@ HINTS: Mapping[FrameFault, str] = {
 
 
 class FrameTaker:
-    """``wait`` lets time pass between tries, ``report`` records one."""
+    """``wait`` lets time pass between tries, ``report`` records one; ``flat``, and ``looked`` at,
+    as of `FrameChecks`.
+    """
 
     def __init__(
         self,
@@ -279,20 +275,14 @@ class FrameTaker:
         wait: Callable[[float], None],
         report: Callable[[str, str], None],
         *,
-        checks: FrameChecks | None = None,
+        flat: bool = True,
     ) -> None:
         recorded = table.recorded
         self._cameras, self._recorded, self._wait, self._report = cameras, recorded, wait, report
-        self._checks = checks or FrameChecks(
-            table.checks, table.max_skew_s, calibration, flat=not recorded
-        )
+        self._checks = FrameChecks(table, calibration, flat=flat and not recorded)
         self._retries, self._retry_s = 0 if recorded else table.retries, table.retry_s
         self.counts: Counter[str] = Counter()
-
-    @property
-    def looked(self) -> Counter[str]:
-        """How many pictures each check has looked at."""
-        return self._checks.looked
+        self.looked = self._checks.looked
 
     def take(self) -> FrameSet:
         """A frame set without a fault. Raises DeviceError after the last try."""

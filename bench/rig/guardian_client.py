@@ -98,9 +98,7 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 @dataclass(frozen=True, slots=True)
 class GuardianTarget:
-    """A bath, and the relay of its pump where it has one; profiles by name or whole path. With a
-    ``stage``, or a stage alone (no ``url``).
-    """
+    """A bath, its pump's relay, a stage; no ``url``: a stage alone. Profiles by name or path."""
 
     url: str = ""
     profile: str = ""

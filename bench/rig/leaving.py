@@ -17,7 +17,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 from bench.rig.by_hand import not_safe_text
 from bench.rig.devices import Devices
@@ -180,9 +180,7 @@ class Leaving:
 
 
 class OpenInstruments(AbstractContextManager[Devices]):
-    """Open instruments that are left safe: at the context's end, and else at the interpreter's,
-    where the context was entered and never left.
-    """
+    """Open instruments, left safe at the context's end, or at the interpreter's if never left."""
 
     def __init__(
         self, opened: AbstractContextManager[Devices], leaving: Callable[[Devices], Leaving] | None
@@ -199,12 +197,7 @@ class OpenInstruments(AbstractContextManager[Devices]):
             atexit.register(self._at_end)
         return devices
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool | None:
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool | None:
         atexit.unregister(self._at_end)
         if self._leaving and os.getpid() != self._process:
             return None  # forked from whoever opened them, whose links these are

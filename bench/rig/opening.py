@@ -192,9 +192,7 @@ def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
 
 
 def pedal_watch(arm: Arm, clock: Clock) -> Callable[[float], bool]:
-    """Waits some seconds for a pedal; True once one was pressed since the first call. A pedal that
-    is down at first must come up. Raises as polling.
-    """
+    """Waits some seconds for a pedal to be pressed; one that is down at first must come up."""
     debouncer = Debouncer()
 
     def pressed(seconds: float) -> bool:
@@ -280,9 +278,7 @@ class _BringUp:
     def all(
         self, stack: ExitStack, names: Sequence[str], answerer: PromptedOperator | None
     ) -> Devices:
-        """The instruments ``names``, to be closed with ``stack``. Raises BringUpError, or a single
-        fault.
-        """
+        """Those of ``names``, closed with ``stack``. Raises BringUpError, or a single fault."""
         opened: dict[str, Any] = {}
         faults: dict[str, InstrumentError] = {}
         openers = self._openers()

@@ -139,9 +139,7 @@ class RunContext:
             self.show()
 
     def look_at_idle(self) -> None:
-        """Asks stage, arm and cameras, which have nothing to do; in virtual time that would change
-        more.
-        """
+        """Asks idle stage, arm and cameras; not in virtual time, where that changes more."""
         due = self.clock.now() - self._stage_seen_s >= STAGE_S
         if due and type(self.clock) is not VirtualClock:
             self._look_at_stage()
@@ -203,7 +201,11 @@ class RunContext:
         progress, watch, events = self.progress(), self.watch, self.events
         tripped = str(watch.tripped) if isinstance(watch.tripped, InterlockTrip) else ""
         safing = self.safing or watch.tripped is not None
-        instruments, asked = tuple(map(self._instrument, self._names)), None
+        there = {"arm": True, "bath": True, "stage": bool(self.devices.stage), "cameras": True}
+        pump = self.devices.safed.get("pump")
+        there["pump"] = bool(self.devices.bath.pump_url or (pump and not pump.is_safe))
+        names = [name for name, one in there.items() if one]
+        instruments, asked = tuple(map(self._instrument, names)), None
         if self._asked and self.rig.rig.by_person and not safing:
             asked = OpenPrompt(self._asked, waited_s=self.clock.now() - self._asked_s)
         status = RunStatus(
@@ -246,13 +248,6 @@ class RunContext:
             yield self.readied
         else:
             yield AFTER_RUN
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        there = {"arm": True, "bath": True, "stage": bool(self.devices.stage), "cameras": True}
-        pump = self.devices.safed.get("pump")
-        there["pump"] = bool(self.devices.bath.pump_url or (pump and not pump.is_safe))
-        return tuple(name for name, one in there.items() if one)
 
     def _instrument(self, name: str) -> InstrumentStatus:
         devices, now_s = self.devices, self.clock.now()

@@ -112,14 +112,11 @@ class Live:
 
 def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
     """The bath as last read, with its gate; units in the keys."""
-    last, gate = watch.last, watch.gate
+    read = ("t_s", "temp_c", "external_c", "power_percent")
     return {
-        "t_s": last.t_s if last else None,
-        "temp_c": last.temp_c if last else None,
-        "external_c": last.external_c if last else None,
-        "power_percent": last.power_percent if last else None,
-        "set_point_c": gate.set_point_c,
-        "band_k": gate.leave_k,
+        **{key: getattr(watch.last, key, None) for key in read},
+        "set_point_c": watch.gate.set_point_c,
+        "band_k": watch.gate.leave_k,
         "state": watch.course,
         "why_not_stable": watch.why_not_stable,
         "stable_in_s": watch.stable_in_s(expected_s),

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -189,9 +188,7 @@ def _of_a_queue(
 def resume_run(
     folder: Path, progress: Progress, how: RunOptions | None = None
 ) -> tuple[Path, RunState]:
-    """Continue the run in ``folder`` at its first trial without a result, as it was begun. Raises
-    ConfigError, LatchedError, RigInUseError.
-    """
+    """Continue the run in ``folder``. Raises ConfigError, LatchedError, RigInUseError."""
     how = how or RunOptions()
     events = progress if isinstance(progress, Events) else Events(progress)
     rig, script = files_of(run := read_run(folder))
@@ -593,12 +590,7 @@ class ScoredFrames:
         kept = [{**row, "trial": trial} for row in rows]
         write_trial(self._store, self._rules, head, frames, answers, truth, kept)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         if error is not None and not isinstance(error, KeyboardInterrupt):
             self._drop()  # a frame that can't be read: half a run is of no use
             return False
@@ -629,9 +621,7 @@ def members_of(recording: Recording) -> dict[str, list[int]]:
 
 
 def _pose_names(recording: Recording) -> dict[str, str]:
-    """For each frame the first one of the same pose (same situation and teats, each end within
-    SAME_POSE_MM): frames of one pose are repeats.
-    """
+    """By frame the first one of its pose: same situation and teats, ends within SAME_POSE_MM."""
     names: dict[str, str] = {}
     # by situation and teats: names of the first frames, and their ends (n, 3)
     firsts: dict[tuple[tuple[str, str], ...], dict[str, NDArray[np.float64]]] = {}

@@ -84,9 +84,7 @@ def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
 def choose_truth(
     ctx: RunContext, settled: Settled, *, before: RunRecord | None = None
 ) -> TouchedTruth:
-    """The truth source of a run. ``settled`` gets the carried trials that a check has confirmed
-    (True) or invalidated; ``before``: the stopped run.
-    """
+    """The truth source of a run. ``settled`` gets carried trials, and whether they hold."""
     table, stage, settings = ctx.script.script.truth, ctx.devices.stage, ctx.rig.rig.stage
 
     def look() -> None:
@@ -411,9 +409,7 @@ class TrialRun:
     def _look_at_teats(
         self, trial: PlannedTrial, frames: FrameSet, ends: Sequence[TrueEnd], bath_c: float
     ) -> None:
-        """Where no sensor is at the teats, the thermal camera measures. Raises DeviceError for
-        cold ones; why it can't is a fact of the run.
-        """
+        """Measures the teats by the thermal camera. Raises DeviceError for cold ones."""
         ctx, emulation = self.ctx, self._rig.emulation
         room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c
         shown = [k for k, end in enumerate(ends) if end.visible]

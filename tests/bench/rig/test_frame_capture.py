@@ -117,8 +117,8 @@ def test_each_check_says_how_many_pictures_it_looked_at() -> None:
     """Without calibration, focus reference and frames before, nothing is compared with them."""
     rig = load_rig(find_rig(None))
     flat = np.zeros((4, 4), np.uint8)
-    table = rig.rig.cameras.checks.model_copy(update={"focus_px": FocusTable()})
-    checks = FrameChecks(table, 0.05, None)
+    unfocused = rig.rig.cameras.checks.model_copy(update={"focus_px": FocusTable()})
+    checks = FrameChecks(rig.rig.cameras.model_copy(update={"checks": unfocused}), None)
     assert set(checks.looked) == set(CHECKED)
     assert not any(checks.looked.values())
     checks.notice(FrameSet(flat, flat))

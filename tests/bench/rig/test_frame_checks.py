@@ -17,7 +17,7 @@ from bench.config import read_calibration
 from bench.record.recording import Recording
 from bench.rig.frame_capture import FrameChecks, StereoOrder
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.model import Checks, FocusTable
+from bench.rig.model import Cameras, Checks, FocusTable
 from detector.calibration import Calibration
 from instruments.camera.emulator import FAULTS, KEPT_BACK, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
@@ -34,9 +34,13 @@ def calibration() -> Calibration:
     return load_rig(find_rig(None)).calibration
 
 
+def table(checks: Checks) -> Cameras:
+    return Cameras(url="emulator:", checks=checks)
+
+
 def checks(**changed: Any) -> FrameChecks:
     rig = load_rig(find_rig(None)).rig.cameras
-    return FrameChecks(rig.checks.model_copy(update=changed), rig.max_skew_s, calibration())
+    return FrameChecks(table(rig.checks.model_copy(update=changed)), calibration())
 
 
 @pytest.mark.slow
@@ -62,7 +66,7 @@ def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> Non
     """
     recording = Recording(shared_data / "path_traced")
     rig = read_calibration(recording.calibration_path)
-    looks = FrameChecks(Checks(focus_px=FocusTable(left=0.7, right=0.7)), 0.05, rig)
+    looks = FrameChecks(table(Checks(focus_px=FocusTable(left=0.7, right=0.7))), rig)
     order = StereoOrder(rig)
     for frame in recording.frames[::3]:  # one of each situation
         frames = recording.load(frame)
@@ -99,7 +103,7 @@ def test_another_size_than_the_calibrations() -> None:
     assert noticed["right"].sentence == "640 x 480, the calibration is for 1360 x 1024"
     assert noticed["thermal"].fault is FrameFault.WRONG_SIZE
     small = FrameSet(grey(48, 64), grey(48, 64, 2), grey(48, 64, 3))
-    assert FrameChecks(Checks(), 0.05, None).notice(small) == []
+    assert FrameChecks(table(Checks()), None).notice(small) == []
 
 
 def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -> None:
@@ -108,7 +112,7 @@ def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -
     )
     frames = FrameSet(grey(1024, 1360), grey(1024, 1360, 2), flat)
     for warm in (True, False):
-        looks = FrameChecks(Checks(swapped=False), 0.05, calibration(), flat=warm)
+        looks = FrameChecks(table(Checks(swapped=False)), calibration(), flat=warm)
         noticed = looks.notice(frames)
         assert [one.fault for one in noticed] == ([FrameFault.FLAT_FIELD] if warm else [])
         for one in noticed:  # of water that is cold, as of a shutter
@@ -139,7 +143,7 @@ def test_a_depth_pictures_faults_are_noticed_and_rows_without_measurement_are_no
         FrameFault.FROZEN: tenths,
     }
     for fault, depth in cases.items():
-        looks = FrameChecks(Checks(swapped=False), 0.05, deep.calibration)
+        looks = FrameChecks(table(Checks(swapped=False)), deep.calibration)
         if fault is FrameFault.FROZEN:
             assert looks.notice(replace(gallery_set(), depth_dmm=tenths)) == []
         found = looks.notice(replace(frames, depth_dmm=depth))

@@ -187,9 +187,9 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(
         running.wait_for("on its peg")
         running.enter()
         running.wait_for(f"{MARK}settling")
-        rig.twin._listeners["stage"].close()
+        rig.twin.listeners["stage"].close()
         running.wait_for("The run is paused")
-        bath = rig.twin._listeners["bath"]
+        bath = rig.twin.listeners["bath"]
         assert isinstance(bath, Listener)
         if bath_too:
             bath.close()
@@ -205,7 +205,7 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(
         if bath_too:  # the guardian goes on trying until somebody has plugged the bath in again
             assert rig.twin.world.plant.running
             clock, lock = rig.twin._clock, rig.twin.world.lock
-            rig.twin._listeners["bath"] = Listener(
+            rig.twin.listeners["bath"] = Listener(
                 rig.twin.bath, clock, lock=lock, name="bath", port=bath.port
             )
             guardian_record(rig.run_folder(), lambda written: written["standby"] is True)

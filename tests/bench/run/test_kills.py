@@ -83,8 +83,8 @@ class Watch(Bringer):
         if self.twin is None:
             return
         self.rig, self.dead_s = self.twin, self.twin._clock.now()
-        if self.cable in self.twin._listeners:
-            self.twin._listeners[self.cable].close()
+        if self.cable in self.twin.listeners:
+            self.twin.listeners[self.cable].close()
             self.twin = None
         else:
             super().bring()
@@ -97,7 +97,7 @@ class Watch(Bringer):
     def sent(self, connection: Connection, data: bytes) -> None:
         """An emulator sends something: noted before the bench can have it."""
         rig = self.rig or self.twin
-        for name, listener in rig._listeners.items() if rig else ():
+        for name, listener in rig.listeners.items() if rig else ():
             if isinstance(listener, Listener) and connection in listener._connections:
                 self.sent_s[name] = connection._clock.now()
         SEND(connection, data)

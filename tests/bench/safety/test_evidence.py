@@ -156,7 +156,7 @@ def test_a_trip_with_the_stage_unplugged_never_says_that_it_is_held(
         running.enter()
         running.wait_for(f"{MARK}settling")
         running.until(lambda: rig.twin.world.plant.running, "heated")
-        rig.twin._listeners["stage"].close()
+        rig.twin.listeners["stage"].close()
         with rig.twin.world.lock:
             rig.twin.bath.fault("low level")
         running.process.join(PATIENCE_S)
