@@ -35,7 +35,6 @@ def _tables(value: Any) -> bool:
 
 
 def value_text(value: Any) -> str:
-    """One value on its line; a table as an inline one."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int | float):

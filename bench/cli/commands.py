@@ -49,9 +49,7 @@ LISTED = flag("--json", "one JSON object instead of lines")
 TABLES_JSON = flag("--json", "print JSON instead of tables")
 RIG = option("rig RIG", RIG_HELP, nargs="?")
 RIG_OPTION = option("--rig RIG", RIG_HELP)
-CAMERAS_OF = option(
-    "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
-)
+CAMERAS_OF = option("--rig RIG", f"whose cameras: {RIG_HELP}")
 WORKERS = option("--workers N", "how many processes (default: one a processor)", whole(1, 1024))
 RUN = option("run RUN", "the run's folder, its name in runs/, or 'latest', the newest there", a_run)
 SUMMARY = option("--summary FILE", "append what was found to this file as Markdown, for CI", Path)
@@ -69,6 +67,7 @@ EVENTS = option("--events FILE", "also write each event as a JSON line, for othe
 DESPITE_DAMAGE = flag(
     "--despite-damage", "use a record that was altered or damaged; it then gives no verdict"
 )
+ADDED_TO = "the recording; one that is there is added to"
 LISTEN = option("--listen HOST", "address to listen on", default="127.0.0.1")
 REPLACE = flag("--replace", "write over a file that is there")
 
@@ -98,10 +97,9 @@ PERTURB = option(
     many=True,
 )
 SITUATIONS = (CAMERAS_OF, option("--situation NAME", ALL, many=True))
-SCENE_SEED = option("--seed N", "seed of noise and of the cameras' fixed patterns", whole(0), 1)
 FIRST_SEEDS = (
     option("--first N", "number of the first member of each family", whole(0), 0),
-    SCENE_SEED,
+    option("--seed N", "seed of noise and of the cameras' fixed patterns", whole(0), 1),
 )
 CAMPAIGN = option("folder DIR", "the campaign's folder")
 FIRST_MEMBER = option(
@@ -401,11 +399,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--seeds N", "members of each family", whole(1), 20),
         *FIRST_SEEDS,
         PERTURB,
-        option(
-            "--out DIR",
-            "the recording; one that is there is added to",
-            default=Path("recordings/situations"),
-        ),
+        option("--out DIR", ADDED_TO, default=Path("recordings/situations")),
     ),
     "scene boards": (
         "draw a calibration board all over the view, for 'teatbench calibrate'",
@@ -476,7 +470,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "add the scene that a test found to a recording, to score later versions on",
         "campaign keep found/test_mine --into recordings/kept --name grey-on-grey",
         option("folder DIR", "the folder that the failing test wrote", Path),
-        option("--into DIR", "the recording; one that is there is added to", Path, required=True),
+        option("--into DIR", ADDED_TO, Path, required=True),
         option("--name NAME", "name of the frame (default: the folder's)", str),
     ),
     "campaign show": (
@@ -706,7 +700,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "save frame sets as a recording",
         "camera grab my-rig.toml --out recordings/mine --count 5",
         SOURCES,
-        option("--out DIR", "the recording; one that is there is added to", required=True),
+        option("--out DIR", ADDED_TO, required=True),
         option("--count N", "how many frame sets", whole(1), 1),
     ),
     "calibrate cameras": (

@@ -123,18 +123,15 @@ def _show(found: Sequence[bench.Comparison]) -> None:
     from rich.table import Table
 
     from bench.cli.terminal import Terminal, print_table, print_wrapped
-    from bench.report import comparison as report
+    from bench.report.comparison import printed
 
     console = Terminal()
     wide = console.width >= WIDE
     for comparison in found:
-        console.print(report.worded(comparison, report.heading(comparison)), soft_wrap=True)
-        for title, page in (
-            ("success", report.success_table(comparison)),
-            ("distance to the teat end", report.distance_table(comparison)),
-        ):
+        heading, tables, said, reasons = printed(comparison)
+        console.print(heading, soft_wrap=True)
+        for title, page in tables.items():
             table = Table(title=title, title_justify="left", box=box.SIMPLE, padding=(0, 1, 0, 0))
-            page = report.worded(comparison, page)
             columns = [one for one in page.columns if wide or not one.title.startswith("|")]
             for at, column in enumerate(columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
@@ -143,10 +140,8 @@ def _show(found: Sequence[bench.Comparison]) -> None:
                 cells = row[: len(columns)]
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in cells))
             print_table(console, table)
-        for line in (*report.notes(comparison), report.verdict_text(comparison)):
-            print_wrapped(console, report.worded(comparison, line))
-        for reason in report.worded(comparison, report.gate_reasons(comparison)):
-            print_wrapped(console, f"  {reason}")
+        for line in (*said, *(f"  {reason}" for reason in reasons)):
+            print_wrapped(console, line)
 
 
 def control(given: argparse.Namespace) -> None:

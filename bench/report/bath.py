@@ -76,7 +76,7 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         shown = _farthest(run, captured)
         each = [*_capture_parts(run, *shown)]
         if isinstance(rules, Script):
-            each.append(_stability_table(run, set_point, rules.bath.window_s, *shown))
+            each.append(_stability_table(run, rules.bath.window_s, *shown))
         states = [str(trial.head["bath_state"]) for trial in captured]
         states_text = ", ".join(f"{states.count(one)} {one}" for one in dict.fromkeys(states))
         yield Paragraph(f"The bath at {plural(len(captured), 'capture')}: {states_text}.")
@@ -150,7 +150,7 @@ def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[Tr
 
 
 def _stability_table(
-    run: RunRecord, set_point_c: float, window_s: float, shown: Sequence[TrialRecord], left_out: str
+    run: RunRecord, window_s: float, shown: Sequence[TrialRecord], left_out: str
 ) -> Table:
     """Stability over time at one place, uniformity between places (ASTM E2488)."""
     rows = []
@@ -161,7 +161,7 @@ def _stability_table(
         t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
         text = np.isfinite(teats_c)
         mean_c = _mean(bath_c)
-        off_k = None if mean_c is None else mean_c - set_point_c
+        off_k = None if mean_c is None else mean_c - run.facts["set_point_c"]
         half_k = np.ptp(bath_c) / 2.0 if len(bath_c) else None
         slopes = _k_per_min(t_s, bath_c), _k_per_min(t_s[text], teats_c[text])
         away_k = _mean(bath_c[text] - teats_c[text])

@@ -61,14 +61,12 @@ UNITS = ("mm", "deg", "rad", "k")
 
 
 def write_campaign_page(
-    folder: Path, plan: CampaignPlan, made_by: Mapping[str, str], bench: Bench | None = None
+    folder: Path, plan: CampaignPlan, made_by: Mapping[str, str], bench: Bench
 ) -> Path:
     """Write the campaign's page; ``bench`` draws the scenes to look at. Raises OSError."""
-    names = [one.name for one in bench.detectors] if bench else []
-    numbers = campaign_numbers(folder, plan, names)
-    looks, parts = _looked_at(folder, numbers, plan, bench) if bench else ((), ())
-    page = campaign_page(folder, plan, made_by, numbers, looks, parts)
-    return write_report(page, folder / REPORT)
+    numbers = campaign_numbers(folder, plan, [one.name for one in bench.detectors])
+    looked = _looked_at(folder, numbers, plan, bench)
+    return write_report(campaign_page(folder, plan, made_by, numbers, *looked), folder / REPORT)
 
 
 def campaign_page(

@@ -334,6 +334,13 @@ def _of_scenes(value: Any) -> Any:
     return value
 
 
+def printed(one: Comparison) -> tuple[str, Mapping[str, Table], Sequence[str], Sequence[str]]:
+    """Heading, tables by name, sentences and the gate's reasons, `worded`."""
+    tables = {"success": success_table(one), "distance to the teat end": distance_table(one)}
+    said = [*notes(one), verdict_text(one)]
+    return worded(one, (heading(one), tables, said, gate_reasons(one)))
+
+
 def gate_reasons(one: Comparison) -> tuple[str, ...]:
     """The gate's reasons, situations by their spoken names."""
     called = {row.situation: spoken(row.situation or "") for row in one.compared.situations}

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bench.config import ConfigError
-from bench.report import comparison as of_comparison
+from bench.report.comparison import printed
 from bench.report.wording import limit, measured
 from bench.results.comparison import Comparison
 from bench.results.status import Reported
@@ -56,15 +56,13 @@ def of_comparisons(found: Sequence[Comparison]) -> str:
     """Each comparison with its tables and its verdict."""
     parts: list[str] = []
     for one in found:
-        tables = of_comparison.success_table(one), of_comparison.distance_table(one)
-        parts.append(f"### {_plain(of_comparison.worded(one, of_comparison.heading(one)))}")
-        for table in (of_comparison.worded(one, table) for table in tables):
+        head, tables, said, reasons = printed(one)
+        parts.append(f"### {_plain(head)}")
+        for table in tables.values():
             heads = [f"{of.title}, {of.unit}" if of.unit else of.title for of in table.columns]
             cells = [[of if isinstance(of, str) else of.text for of in row] for row in table.rows]
             parts.append("\n".join(_table(heads, cells)))
-        reasons = of_comparison.gate_reasons(one)
-        said = [*of_comparison.notes(one), of_comparison.verdict_text(one), *reasons]
-        parts += [_plain(of_comparison.worded(one, line)) for line in said]
+        parts += [_plain(line) for line in (*said, *reasons)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import cv2
@@ -262,25 +262,25 @@ HINTS: Mapping[FrameFault, str] = {
 }
 
 
+@dataclass(eq=False)
 class FrameTaker:
     """``wait`` lets time pass between tries, ``report`` records one; ``flat``, and ``looked`` at,
     as of `FrameChecks`.
     """
 
-    def __init__(
-        self,
-        cameras: Cameras,
-        table: CamerasTable,
-        calibration: Calibration | None,
-        wait: Callable[[float], None],
-        report: Callable[[str, str], None],
-        *,
-        flat: bool = True,
-    ) -> None:
-        recorded = table.recorded
-        self._cameras, self._recorded, self._wait, self._report = cameras, recorded, wait, report
-        self._checks = FrameChecks(table, calibration, flat=flat and not recorded)
-        self._retries, self._retry_s = 0 if recorded else table.retries, table.retry_s
+    cameras: Cameras
+    table: CamerasTable
+    calibration: Calibration | None
+    wait: Callable[[float], None]
+    report: Callable[[str, str], None]
+    _: KW_ONLY
+    flat: bool = True
+
+    def __post_init__(self) -> None:
+        recorded = self._recorded = self.table.recorded
+        flat = self.flat and not recorded
+        self._checks = FrameChecks(self.table, self.calibration, flat=flat)
+        self._retries = 0 if recorded else self.table.retries
         self.counts: Counter[str] = Counter()
         self.looked = self._checks.looked
 
@@ -293,10 +293,10 @@ class FrameTaker:
             self.counts.update(f"{one.camera}: {one.fault}" for one in noticed)
             what = "; ".join(str(one) for one in noticed)
             more = f"Taken again; {left} {'try is' if left == 1 else 'tries are'} left"
-            self._report(EVENT, f"{full_stop(what)} {more if left else 'Refused'}.")
+            self.report(EVENT, f"{full_stop(what)} {more if left else 'Refused'}.")
             if left:
-                self._wait(self._retry_s)
-        raise _refused(noticed, self._retries + 1, self._cameras.identity)
+                self.wait(self.table.retry_s)
+        raise _refused(noticed, self._retries + 1, self.cameras.identity)
 
     def look(self) -> None:
         """Check that the cameras give a usable set now, but not a recording. Raises as ``take``."""
@@ -304,18 +304,18 @@ class FrameTaker:
             return
         frames, noticed = self._try()
         if frames is None or noticed:
-            raise _refused(noticed, 1, self._cameras.identity)
+            raise _refused(noticed, 1, self.cameras.identity)
 
     def _try(self) -> tuple[FrameSet | None, Sequence[FrameProblem]]:
         try:
-            frames = self._cameras.capture()
+            frames = self.cameras.capture()
         except FrameError as error:
             return None, [FrameProblem(error.fault, error.camera, str(error))]
         for camera, count in frames.passed_over.items():
             self.counts[f"{camera}: {FrameFault.LOST_PACKETS}"] += count
             were = plural(count, "damaged frame", "was")
             said = f"{were} passed over; the next whole one was taken"
-            self._report(EVENT, f"{camera} camera: {FrameFault.LOST_PACKETS}: {said}.")
+            self.report(EVENT, f"{camera} camera: {FrameFault.LOST_PACKETS}: {said}.")
         return frames, self._checks.notice(frames)
 
 

@@ -184,11 +184,11 @@ class Stage(Section):
             if self.zaber_axes or self.microsteps:
                 raise ValueError('zaber_axes and microsteps go with dialect = "zaber"')
         elif self.url != EMULATED:
-            for key in ("zaber_axes", "microsteps"):
+            examples = {"zaber_axes": '["1 1", "2 1"] (device, axis)'}
+            examples |= {"microsteps": "[20997.4, 20997.4] (per mm or degree)"}
+            for key, example in examples.items():
                 if len(getattr(self, key)) != len(self.axes):
                     what = f"a Zaber stage {self.axes} needs {len(self.axes)} {key}"
-                    example = '["1 1", "2 1"] (device, axis)' if key == "zaber_axes" else "[20997.4"
-                    example += "" if key == "zaber_axes" else ", 20997.4] (per mm or degree)"
                     raise ValueError(f"{what}, one an axis, as {key} = {example}")
         return self
 

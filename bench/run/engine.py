@@ -329,6 +329,7 @@ class Engine:
             self._write_down("fault", f"{MISTAKE}: {named}")
             if isinstance(cause, MemoryError) or not isinstance(cause, FAILURES):
                 raise cause
+            # of the bench, or of a driver that raises in this thread from one of its own
             path = self.context.store.folder / TRACEBACK
             self._kept(path.write_text, "".join(traceback.format_exception(cause)), "utf-8")
             said = f"A mistake of the bench: {named}. Please report it with {path}."

@@ -9,6 +9,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.config import ConfigError, read_text
@@ -23,20 +24,19 @@ from textfiles.whole import refusal
 RECORDED = "recorded to"  # fact: the recording's folder
 
 
+@dataclass(eq=False)
 class Recorder:
     """A recording in the new or empty ``folder``, or what the run ``before`` has recorded. ``warn``
     is called where it can't be written any more. Raises ConfigError.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        calibration: Path,
-        warn: Callable[[str], None],
-        before: RunRecord | None = None,
-    ) -> None:
-        self._folder = folder
-        self._warn = warn
+    folder: Path
+    calibration: Path
+    warn: Callable[[str], None]
+    before: RunRecord | None = None
+
+    def __post_init__(self) -> None:
+        folder, before = self.folder, self.before
         self._broken = False
         self._open: dict[str, Sequence[TruthRow]] = {}
         try:
@@ -50,7 +50,7 @@ class Recorder:
             for unfinished in folder.glob("making *"):
                 shutil.rmtree(unfinished)
             self._writer = RecordingWriter(folder)
-            self._writer.add_calibration(read_text(calibration))
+            self._writer.add_calibration(read_text(self.calibration))
             if before:
                 self._catch_up(before)
         except (OSError, RecordingError) as error:
@@ -82,12 +82,12 @@ class Recorder:
             yield
         except (OSError, RecordingError) as error:
             self._broken = True
-            text = f"the recording in {self._folder} ends here: {refusal(error)}"
-            self._warn(f"{text} The run goes on, and its own folder has all.")
+            text = f"the recording in {self.folder} ends here: {refusal(error)}"
+            self.warn(f"{text} The run goes on, and its own folder has all.")
 
     def _catch_up(self, run: RunRecord) -> None:
         """Put in what was written down but not yet recorded, and remember whose truth is open."""
-        has_frames, has_truth = _has(self._folder)
+        has_frames, has_truth = _has(self.folder)
         carried = resumed(run)
         for trial in run.trials:
             if trial.id not in has_frames:

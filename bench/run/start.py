@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -505,13 +505,10 @@ def score_recording(
         if not unchecked:  # what can't be checked in a recording keeps no detector from its verdict
             text = f"{text}\n{read_text(CAMERAS_RULE)}"
         facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
-        facts |= {
-            "about": str(path),
-            "planned": planned,
-            **({DOUBTS_FACT: doubts} if doubts else {}),
-        }
+        facts |= {"about": str(path), "planned": planned}
+        facts |= {DOUBTS_FACT: doubts} if doubts else {}
         facts |= {UNCHECKED_FACT: unchecked} if unchecked else {}
-        facts[LOOKED_FACT] = looked_at(recording)
+        facts |= {LOOKED_FACT: looked_at(recording)}
         with ScoredFrames(
             out, f"score-{path.name}", rules, text, recording.calibration_path, facts, under_test
         ) as run:
@@ -530,26 +527,26 @@ def score_recording(
         return run.folder
 
 
+@dataclass(eq=False)
 class ScoredFrames:
     """A run of frames without a script, each a trial as it comes, held against the rules in
     ``text``. Leaving it ends the run; an error leaves none.
     """
 
-    def __init__(
-        self,
-        out: Path,
-        name: str,
-        rules: Path,
-        text: str,
-        calibration: Path,
-        facts: Mapping[str, Any],
-        under_test: Sequence[Detector],
-    ) -> None:
-        self._rules, self._count = parse_config(rules, text, Rules), 0
-        self.early = ""  # why it is left before its end
-        self._store = _new_store(out, name, {RULES: text}, calibration)
+    out: Path
+    name: str
+    rules: Path
+    text: str
+    calibration: Path
+    facts: Mapping[str, Any]
+    under_test: Sequence[Detector]
+    early: str = field(default="", init=False)  # why it is left before its end
+
+    def __post_init__(self) -> None:
+        self._rules, self._count = parse_config(self.rules, self.text, Rules), 0
+        self._store = _new_store(self.out, self.name, {RULES: self.text}, self.calibration)
         try:
-            write_facts(self._store, dict(facts), under_test, calibration)
+            write_facts(self._store, self.facts, self.under_test, self.calibration)
         except BaseException:
             self._drop()
             raise
