@@ -162,8 +162,9 @@ def _run(given: argparse.Namespace) -> int:
 def _say_next(given: argparse.Namespace, code: int) -> None:
     """The next two commands, to a person at a terminal whose command did its work."""
     values = vars(given)
-    asked = code in (CODES.wrong_use, CODES.fault) or values.get("json") or not sys.stdout.isatty()
-    if asked:
+    following = commands.table("following").get(given.called)
+    read = not values.get("json") and sys.stdout.isatty()
+    if not following or not read or code in (CODES.wrong_use, CODES.fault):
         return
 
     def given_or_named(found: re.Match[str]) -> str:
@@ -171,9 +172,6 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
         one = value[0] if isinstance(value, list) and value else value
         return shlex.quote(str(one)) if one else found[1].upper()
 
-    following = commands.table("following").get(given.called)
-    if not following:
-        return
     then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in following)
     print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
 

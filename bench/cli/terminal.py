@@ -196,11 +196,9 @@ class TerminalProgress:
     def trial(self, done: int, total: int, name: str) -> None:
         self._bar.update(self._task, completed=done, total=total)
         if not self._console.is_terminal:
-            self._console.print(
-                f"trial {done + 1} of {total}: {name}"
-                if done < total
-                else f"{total} of {plural(total, 'trial')} done"
-            )
+            next_one = f"trial {done + 1} of {total}: {name}"
+            over = f"{total} of {plural(total, 'trial')} done"
+            self._console.print(next_one if done < total else over)
 
     def say(self, text: str) -> None:
         """A line that stays above the bar; a failure to show it is ignored."""

@@ -46,12 +46,8 @@ def show_verdict(console: Terminal, found: Reported) -> int:
             for judgement in judgements:
                 own = [one for one in judgement.decisions if one.name not in judgement.of_bench]
                 sign, colour = _sign(console, judgement.verdict)
-                console.print(
-                    Text.assemble(
-                        (f"{sign} {judgement.detector}", f"bold {colour}"),
-                        f" {'; '.join(_reasons(own))}.",
-                    )
-                )
+                who = f"{sign} {judgement.detector}", f"bold {colour}"
+                console.print(Text.assemble(who, f" {'; '.join(_reasons(own))}."))
         else:
             word = (status.word, f"bold {COLOURS.get(status.word, 'yellow')}")
             if status.under_way and not status.damage:

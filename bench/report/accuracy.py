@@ -112,13 +112,8 @@ def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str) -> Ta
             (f"teat {teat}", *radial(summarise(rows.of_teat(teat).errors_mm)), "")
             for teat in rows.teat_names
         ]
-    return table(
-        "distances",
-        lines,
-        detector=detector,
-        gospa=number(gospa(pool), "mm"),
-        without_noise=_without_noise(rows),
-    )
+    charged, noise = number(gospa(pool), "mm"), _without_noise(rows)
+    return table("distances", lines, detector=detector, gospa=charged, without_noise=noise)
 
 
 def _without_noise(rows: ErrorRows) -> str:

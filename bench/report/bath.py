@@ -56,12 +56,8 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
             spans.append((spans.pop()[0] if joined else t_s, t_s))
     svg = bath_curve(times_s, temps_c, set_point, _band_k(rules), captures, spans)
     caption = "Bath temperature over the run's time; captures are marked"
-    yield Figure(
-        svg,
-        caption,
-        f"{plural(len(run.bath), 'reading')}, {plural(len(captures), 'capture')}",
-        wide=True,
-    )
+    alt = f"{plural(len(run.bath), 'reading')}, {plural(len(captures), 'capture')}"
+    yield Figure(svg, caption, alt, wide=True)
     temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
     room = run.facts.get("bath figures", {}).get("room_c")
     entries = {

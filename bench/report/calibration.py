@@ -402,12 +402,8 @@ def check_points_page(again: PointsAgain, findings: Sequence[Finding]) -> PageOf
 def check_ends_page(found: CamerasCheck, decision: Decision) -> PageOf:
     """Of `calibrate check --ends`."""
     off = decision.verdict is Verdict.NOT_MET
-    shown = table(
-        "ends_again",
-        [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets],
-        measured=found.measured,
-        ends=found.ends,
-    )
+    rows = [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets]
+    shown = table("ends_again", rows, measured=found.measured, ends=found.ends)
     return _check(
         {"ends": ("Where the cameras show touched ends", [shown])},
         [Finding("cameras off", decision.sentence)] if off else [],

@@ -589,12 +589,8 @@ def _changed(comparison: Comparison) -> Table:
         change = Cell(NOT_MEASURED if mm is None else f"{mm:+z.2f}", sort=mm)
         both = (outcome(pair.old), outcome(pair.new))
         rows.append((pair.scene, spoken(pair.situation), *both, change))
-    return table(
-        "changed_scenes",
-        rows,
-        note="" if rows else "No scene's outcome changed, and no error.",
-        searchable=len(rows) > 10,
-    )
+    note = "" if rows else "No scene's outcome changed, and no error."
+    return table("changed_scenes", rows, note=note, searchable=len(rows) > 10)
 
 
 def baseline_parts(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Iterator[Part]:

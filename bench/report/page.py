@@ -204,6 +204,7 @@ def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -
     facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
+    each = status.verdicts.items() if status.decided and several else ()
     # where others were real
     mixed = ", ".join(facts.get("emulated", ()))
     emulated = f" Emulated, and so no measurement: {mixed}." if mixed else ""
@@ -218,9 +219,7 @@ def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -
         sentence=status.why,
         confidence=_confidence(run, rules, poses, {*status.verdicts.values()}),
         next_action="\n".join(status.next),
-        each=tuple((name, cast(Verdict, word)) for name, word in status.verdicts.items())
-        if status.decided and several
-        else (),
+        each=tuple((name, cast(Verdict, word)) for name, word in each),
     )
 
 
@@ -314,17 +313,15 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
         errors_mm = scored(run, detector).errors_mm
         camera = errors_mm @ camera_from_world.T
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
-        yield Figure(
-            error_scatter(
-                *(lateral, camera[:, 2], limit_mm),
-                accept_mm=_accepted_mm(run, rules, detector),
-                links=_links(run, detector),
-                who=who,
-                name=f"scatter-{id_of(detector)}",
-            ),
-            f"Depth error against lateral error, {detector}",
-            plural(len(errors_mm), "point"),
+        svg = error_scatter(
+            *(lateral, camera[:, 2], limit_mm),
+            accept_mm=_accepted_mm(run, rules, detector),
+            links=_links(run, detector),
+            who=who,
+            name=f"scatter-{id_of(detector)}",
         )
+        caption = f"Depth error against lateral error, {detector}"
+        yield Figure(svg, caption, plural(len(errors_mm), "point"))
     yield from sparkline(run, rules)
 
 
@@ -434,23 +431,19 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
         }
     for name, item in facts["items"].items():
         yield from _configured(f"Item under test: {name}", item)
-    yield key_values(
-        "Bench and run",
-        {
-            "folder": run.folder.name,
-            "state": status.state.value,
-            "started": facts["wall_started"],
-            "ended": facts.get("wall_ended"),
-            **{
-                f"{one.name} at the end": one.text.removeprefix(f"{one.name}: ")
-                for one in status.instruments
-            },
-            **{name: facts.get(name) for name in ("seed", "rig", "script")},
-            **{f"version, {name}": version for name, version in facts["versions"].items()},
-            "bench's commit": facts.get("commit") or "not known",
-            **chain,
-        },
-    )
+    at_end = {f"{one.name} at the end": one for one in status.instruments}
+    entries = {
+        "folder": run.folder.name,
+        "state": status.state.value,
+        "started": facts["wall_started"],
+        "ended": facts.get("wall_ended"),
+        **{name: one.text.removeprefix(f"{one.name}: ") for name, one in at_end.items()},
+        **{name: facts.get(name) for name in ("seed", "rig", "script")},
+        **{f"version, {name}": version for name, version in facts["versions"].items()},
+        "bench's commit": facts.get("commit") or "not known",
+        **chain,
+    }
+    yield key_values("Bench and run", entries)
     for name, identity in facts.get("identities", {}).items():
         yield from _configured(f"Instrument: {name}", identity)
     # each file that the run used, with its checksum now; frames are in the record's chain
@@ -513,13 +506,11 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
         text = f"The calibration has no record of who made it, when and with what. {how}"
         yield Paragraph(text, tone="plain" if emulated else "warn")
         return
-    yield key_values(
-        "Calibration",
-        {
-            "made": fact["made"],
-            "age": f"{fact['age_days']} days on the day of the run",
-            "by": fact["by"] or None,
-            "with": fact["with_what"],
-            **{f"{name} camera": who for name, who in fact["cameras"].items()},
-        },
-    )
+    entries = {
+        "made": fact["made"],
+        "age": f"{fact['age_days']} days on the day of the run",
+        "by": fact["by"] or None,
+        "with": fact["with_what"],
+        **{f"{name} camera": who for name, who in fact["cameras"].items()},
+    }
+    yield key_values("Calibration", entries)

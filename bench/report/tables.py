@@ -249,12 +249,8 @@ def attribution_parts(run: RunRecord, calibration: Calibration | None = None) ->
         found = attributed(run, detector, calibration)
         counts = counted(found)
         rows = [(what.value, *(counts[what, cause] for cause in Cause)) for what in DetectionFault]
-        yield table(
-            "attribution",
-            rows,
-            more=[Heading(cause.value, "right") for cause in Cause],
-            detector=detector,
-        )
+        causes = [Heading(cause.value, "right") for cause in Cause]
+        yield table("attribution", rows, more=causes, detector=detector)
         others = tuple(
             f"{one.trial}{f', teat {one.teat}' if one.teat else ''}: {one.what.value}:"
             f" {one.cause.value}: {one.why}"

@@ -62,17 +62,11 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
     found = [("cameras", one) for one in check.offsets]
     found += [(f"answers of {name}", one) for name, one in answers.items() if one is not None]
     thermal = "" if check.thermal is None else f", {check.thermal} in the thermal picture"
-    yield table(
-        "known_ends",
-        [
-            (who, one.name, one.value, one.uncertainty, one.poses)
-            + ((one.mm, abs(one.value) * one.deg) if one.name == DISPARITY else ("", ""))
-            for who, one in found
-        ],
-        measured=check.measured,
-        ends=check.ends,
-        thermal=thermal,
-    )
+    rows = []
+    for who, off in found:
+        worth = (off.mm, abs(off.value) * off.deg) if off.name == DISPARITY else ("", "")
+        rows.append((who, off.name, off.value, off.uncertainty, off.poses, *worth))
+    yield table("known_ends", rows, measured=check.measured, ends=check.ends, thermal=thermal)
     if text := check.unseen:
         yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
     for name, one in answers.items():
@@ -130,12 +124,8 @@ def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
         (t.where, t.calibrated_mm, t.calibrated_u_mm, t.measured_mm, t.error_mm)
         for t in dated.lengths
     ]
-    yield table(
-        "arm_lengths",
-        lengths,
-        largest=number(dated.length_mm, "mm"),
-        two_rms=number(dated.length_two_rms_mm, "mm"),
-    )
+    largest, two_rms = number(dated.length_mm, "mm"), number(dated.length_two_rms_mm, "mm")
+    yield table("arm_lengths", lengths, largest=largest, two_rms=two_rms)
 
 
 def _arm_checks(run: RunRecord) -> Part:
@@ -281,18 +271,11 @@ def trial_truth(trial: TrialRecord) -> Table | None:
     if not rows:
         return None
     names = [Heading(line["name"], "right", "mm") for line in rows[0][1]["components"]]
-    return table(
-        "trial_truth",
-        [
-            (
-                *(str(row["teat"]), str(row["how"])),
-                *(f"{line['u_mm']:.3f}" for line in budget["components"]),
-                budget["u_mm"],
-            )
-            for row, budget in rows
-        ],
-        more=names,
-    )
+    lines = []
+    for row, budget in rows:
+        parts = (f"{line['u_mm']:.3f}" for line in budget["components"])
+        lines.append((str(row["teat"]), str(row["how"]), *parts, budget["u_mm"]))
+    return table("trial_truth", lines, more=names)
 
 
 def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
@@ -312,24 +295,19 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
         "chance of these axes, if as stated": f"{found.p_value:.2g}",
     }
     yield key_values("Registration of the stage, X_world = R(om) X_stage + T", entries)
-    yield table(
-        "stage_fits",
-        [(f.model, f.fre_mm, fits.held_out_mm[f.model], f.singular_values) for f in fits.fits],
-    )
+    held_out_mm = fits.held_out_mm
+    models = [(f.model, f.fre_mm, held_out_mm[f.model], f.singular_values) for f in fits.fits]
+    yield table("stage_fits", models)
     stated, so = found.stated, ", which the carry's uncertainty is made of."
     if found.doubted:
         so = "; what was found here is added, since it casts doubt on that."
     words = ("no", Cell("yes", "warn"))
-    yield table(
-        "stage_axes",
-        [
-            (d.name, 1e3 * d.value, 1e3 * d.u, d.value / d.u, words[bool(d.significant)])
-            for d in found.diagnostics
-        ],
-        scale_u=1000.0 * stated.scale_u,
-        squareness_u=1000.0 * stated.squareness_u_rad,
-        so=so,
-    )
+    axes = [
+        (d.name, 1e3 * d.value, 1e3 * d.u, d.value / d.u, words[bool(d.significant)])
+        for d in found.diagnostics
+    ]
+    scale_u, squareness_u = 1000.0 * stated.scale_u, 1000.0 * stated.squareness_u_rad
+    yield table("stage_axes", axes, scale_u=scale_u, squareness_u=squareness_u, so=so)
 
 
 def _truth_error(rows: Sequence[Mapping[str, Any]]) -> str:

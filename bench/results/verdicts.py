@@ -209,11 +209,8 @@ def _emulated(facts: Mapping[str, Any]) -> bool:
 
 def _rule(rule: ArmRequirement, limits: _ArmLimits) -> str:
     length_mm = limits.length_mm
-    follows = (
-        f", as an arm that is as stated does but in {100 * LIMIT_LEVEL:g} % of runs"
-        if rule.location_limit_mm is None
-        else ""
-    )
+    follows = f", as an arm that is as stated does but in {100 * LIMIT_LEVEL:g} % of runs"
+    follows = follows if rule.location_limit_mm is None else ""
     lengths = "" if length_mm is None else f", a calibrated length within {length_mm:.3g} mm"
     dated = "required, with a length check, of a real arm"
     dated = dated if rule.dated_required else "where the rig names one"
@@ -372,8 +369,7 @@ def _decide(
         case CamerasRequirement():
             return decide_cameras(rule, cameras_of(run))
     u_mm = truth_u_mm([run], scores, detector)
-    looks = Looks(planned)
-    return decide_detector(rule, scores, latency_of(run, detector), u_mm, looks)
+    return decide_detector(rule, scores, latency_of(run, detector), u_mm, Looks(planned))
 
 
 def decide_detector(
@@ -451,11 +447,8 @@ def _decided(
     if isinstance(rule, SuccessRequirement) and late:
         at_all = f"{scores.accurate.successes} of {scores.accurate.trials} poses"
         sentence += f" Without the time limit {at_all} succeeded."
-    if (
-        timed.starved
-        and verdict is Verdict.NOT_MET
-        and not _fails_without_time(rule, scores, looks)
-    ):
+    refused_busy = timed.starved and verdict is Verdict.NOT_MET
+    if refused_busy and not _fails_without_time(rule, scores, looks):
         verdict = Verdict.INCONCLUSIVE
     return replace(decision, sentence=sentence, verdict=verdict)
 

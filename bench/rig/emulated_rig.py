@@ -167,13 +167,11 @@ class EmulatedRig:
         for name, (one, baud) in served.items():
             how: dict[str, Any] = {"lock": self.world.lock, "name": name}
             how["baud"] = baud if self._paced else None
-            self.listeners[name] = (
-                PtyListener(one, self._clock, **how)
-                if self._pty and baud is not None
-                else Listener(
-                    one, self._clock, host=self._host, port=port_of(name, self._port_base), **how
-                )
-            )
+            if self._pty and baud is not None:
+                self.listeners[name] = PtyListener(one, self._clock, **how)
+            else:
+                port = port_of(name, self._port_base)
+                self.listeners[name] = Listener(one, self._clock, host=self._host, port=port, **how)
 
     def _plugged_emulators(self, rig: Rig) -> dict[str, Device]:
         """Of other packages, by instrument. Raises LimitError, ValueError."""
@@ -302,19 +300,16 @@ class EmulatedRig:
         name, amount, stage = fault.name, fault.amount, self.stage
         times = FOREVER if fault.times is None else fault.times
         if fault.instrument == "cameras":
-            faults, camera = self.cameras.faults, fault.camera
-            return (
-                lambda: faults.inject(name, times, camera=camera, amount=amount),
-                lambda: faults.clear(name),
-            )
+            of, whose = self.cameras.faults, {"camera": fault.camera}
+            return partial(of.inject, name, times, amount=amount, **whose), partial(of.clear, name)
         if fault.instrument == "arm":
-            of_arm = self.arm.faults
-            return lambda: of_arm.inject(name, times, amount=amount), lambda: of_arm.clear(name)
+            arm = self.arm.faults
+            return partial(arm.inject, name, times, amount=amount), partial(arm.clear, name)
         if fault.instrument == "stage" and stage:
             kind = StageFault(name)
             key = "lost_mm" if kind is StageFault.LOST_STEP else "after_s"
             how = {key: AMOUNTS.get(kind, (0.0, ""))[0] if amount is None else amount}
-            return lambda: stage.inject(kind, **how), lambda: stage.cure(kind)
+            return partial(stage.inject, kind, **how), partial(stage.cure, kind)
         device = self._bath if fault.instrument == "bath" else self.pump
         if device is None or fault.instrument == "stage":
             raise ValueError(f"this rig has no {fault.instrument} that could fail")

@@ -23,11 +23,8 @@ def aimed(calibration: Calibration) -> Calibration:
     axis = (calibration.world_from_right @ _thermal_from_right(calibration).inverse()).R[:, 2]
     sight = (LOOKED_AT_MM - eye) / np.linalg.norm(LOOKED_AT_MM - eye)
     across = np.cross(axis, sight)
-    om = (
-        across
-        / max(np.linalg.norm(across), 1e-12)
-        * np.arctan2(np.linalg.norm(across), axis @ sight)
-    )
+    sine = np.linalg.norm(across)
+    om = across / max(sine, 1e-12) * np.arctan2(sine, axis @ sight)
     return _turned(calibration, om, eye)
 
 

@@ -93,11 +93,8 @@ def _take(
         )
     check_answer(kind, parts["answer"])
     if not parts["otherwise"]:
-        answers.append(
-            ScriptedAnswer(
-                kind, parts["answer"], parts["says"] or "", int(parts["times"] or 1), where
-            )
-        )
+        says, times = parts["says"] or "", int(parts["times"] or 1)
+        answers.append(ScriptedAnswer(kind, parts["answer"], says, times, where))
         return
     if parts["says"] or parts["times"]:
         raise ValueError(

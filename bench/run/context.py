@@ -168,11 +168,7 @@ class RunContext:
         if stage is None:
             return
         self._stage_mm = here = stands_at(stage)
-        if (
-            self._touching
-            and before is not None
-            and not np.allclose(here, before, rtol=0.0, atol=TOLERANCE_MM)
-        ):
+        if self._touching and before and not np.allclose(here, before, rtol=0.0, atol=TOLERANCE_MM):
             what = f"it was moved from {before} to {here} while ends were touched"
             raise DeviceError(stage.who, what, hint="Touch nothing but the ends.")
 

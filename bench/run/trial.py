@@ -125,12 +125,11 @@ def _registration(
     """
     # the world that it was made in has to be the one that the arm gives now
     made = ctx.rig.frame.made if ctx.rig.frame else None
-    found = ctx.script.registration or _made(ctx, stage, settings, toucher)
-    if ctx.script.registration and (
-        why := found.outdated(ctx.devices.arm.identity.serial_number, made)
-    ):
+    known = ctx.script.registration
+    if known and (why := known.outdated(ctx.devices.arm.identity.serial_number, made)):
         what = f"its registration {ctx.script.script.truth.file} {why}"
         raise LimitError("stage", what, hint="Make it anew: 'teatbench calibrate stage'")
+    found = known or _made(ctx, stage, settings, toucher)
     for key, value in as_facts(found).items():
         ctx.store.fact(key, value)
     return found
