@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import bench
 from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.config import ConfigError, read_calibration
-from bench.files import write_synced
+from bench.files import write_together
 from detector import Outcome
 
 if TYPE_CHECKING:
@@ -58,8 +58,9 @@ def new(given: argparse.Namespace) -> None:
     heading = "A detector of your own; all keys: teatbench help detectors. The command runs here."
     if given.language == "cpp":
         heading += f"\nCompile it first: {COMPILED.format(name=name)}"
-    write_synced(program, (skeletons / f"detector{end}").read_bytes())
-    write_synced(file, toml_text(table, heading).encode("utf-8"))
+    skeleton = (skeletons / f"detector{end}").read_bytes()
+    table_text = toml_text(table, heading).encode("utf-8")
+    write_together(given.out, [(program.name, skeleton), (file.name, table_text)])
     word = name if name in bench.detectors() else file
     print(*(f"written: {path}" for path in files), sep="\n")
     if given.language == "cpp":

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.files import write_synced
+from bench.files import write_together
 from bench.record.check import NOT_AS_WRITTEN, printed_chain
 from bench.record.looks import id_of
 from bench.record.reader import RunRecord
@@ -31,10 +31,13 @@ COLUMNS = (
 def write_exports(
     run: RunRecord, status: RunStatus, judgements: Sequence[Judgement], folder: Path
 ) -> None:
-    """Write the three files into ``folder``."""
-    write_synced(folder / "trials.csv", _trials_csv(run).encode())
-    write_synced(folder / "run.json", _run_json(run, status, judgements).encode())
-    write_synced(folder / "junit.xml", _junit_xml(run, status, judgements).encode())
+    """Write the three files into ``folder``, or none."""
+    texts = {
+        "trials.csv": _trials_csv(run),
+        "run.json": _run_json(run, status, judgements),
+        "junit.xml": _junit_xml(run, status, judgements),
+    }
+    write_together(folder, ((name, text.encode()) for name, text in texts.items()))
 
 
 def drop_report(folder: Path) -> None:

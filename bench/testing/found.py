@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from bench.api.shots import load_rig
 from bench.campaign.chunk import digest_of_frames
 from bench.config import ConfigError, read_text, toml_of, writing
-from bench.files import write_synced
+from bench.files import write_together
 from bench.record.recording import RecordingError, RecordingWriter
 from bench.results.answers import name_of
 from bench.testing.checking import SceneFailedError
@@ -43,8 +43,7 @@ def write_found(error: SceneFailedError, folder: Path) -> Path:
     }
     _, png = cv2.imencode(".png", error.picture())
     data = {SCENE: toml_text(table, HEADING).encode(), PICTURE: png.tobytes()}
-    for name, one in {**data, TEST: error.lines().encode()}.items():
-        write_synced(folder / name, one)
+    write_together(folder, {**data, TEST: error.lines().encode()}.items())
     return folder
 
 
