@@ -68,6 +68,19 @@ def range_text(first: object, last: object, form: str = "") -> str:
     return " to ".join(dict.fromkeys((format(first, form), format(last, form))))
 
 
+def words_of(error: object) -> str:
+    """What it says of itself; nothing where that fails, as of an error of another's code."""
+    try:
+        return str(error)
+    except Exception:
+        return ""
+
+
+def named(error: object) -> str:
+    """Its kind and words."""
+    return f"{type(error).__name__}: {words_of(error)}".removesuffix(": ")
+
+
 def full_stop(text: str) -> str:
     """``text`` as a sentence's end."""
     return text if text.endswith((".", "?", "!")) else f"{text}."

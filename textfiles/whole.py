@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from textfiles.text import full_stop
+from textfiles.text import full_stop, words_of
 
 
 def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
@@ -71,7 +71,7 @@ def _made(folder: Path) -> list[Path]:
 def is_full(error: BaseException | None) -> bool:
     """Whether it comes of a full disk, or a quota."""
     no_room = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
-    full = getattr(error, "errno", None) in no_room or "disk is full" in str(error)
+    full = getattr(error, "errno", None) in no_room or "disk is full" in words_of(error)
     return full or (error is not None and is_full(error.__cause__))
 
 

@@ -25,7 +25,7 @@ from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches, 
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import keep_writing, sanitizing
-from textfiles.text import did_you_mean, full_stop
+from textfiles.text import did_you_mean, full_stop, words_of
 from textfiles.whole import is_full
 
 if TYPE_CHECKING:
@@ -195,8 +195,8 @@ MEMORY_WORDS = (
 
 def _is_of_memory(error: BaseException) -> bool:
     """Whether ``error``, or what it was raised in the course of, is of memory."""
-    cause = error.__cause__ or error.__context__
-    if isinstance(error, MemoryError) or any(w in str(error).lower() for w in MEMORY_WORDS):
+    cause, words = error.__cause__ or error.__context__, words_of(error).lower()
+    if isinstance(error, MemoryError) or any(w in words for w in MEMORY_WORDS):
         return True
     return cause is not None and _is_of_memory(cause)
 

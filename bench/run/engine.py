@@ -46,7 +46,7 @@ from instruments.operators.operator import (
     OperatorRepeat,
     OperatorSkip,
 )
-from textfiles.text import plural
+from textfiles.text import named, plural
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
 TRACEBACK = "mistake.txt"
@@ -332,18 +332,18 @@ class Engine:
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
-            named = f"{type(cause).__name__}: {cause}".removesuffix(": ")
-            self._write_down("fault", f"{MISTAKE}: {named}")
+            said = named(cause)
+            self._write_down("fault", f"{MISTAKE}: {said}")
             if isinstance(cause, MemoryError) or not isinstance(cause, FAILURES):
                 raise cause
-            self._keep_traceback(named, cause)
+            self._keep_traceback(said, cause)
         return RunState.FAULTED
 
-    def _keep_traceback(self, named: str, mistake: BaseException) -> None:
+    def _keep_traceback(self, said: str, mistake: BaseException) -> None:
         """Or what else came to this thread: a driver may raise in it from one of its own."""
         path = self._ctx.store.folder / TRACEBACK
         self._kept(path.write_text, "".join(traceback.format_exception(mistake)), "utf-8")
-        self._ctx.events.warn(f"A mistake of the bench: {named}. Please report it with {path}.")
+        self._ctx.events.warn(f"A mistake of the bench: {said}. Please report it with {path}.")
 
     def _finish(self, ending: RunState) -> RunState:
         """To safe first, whatever disk, terminal and watch do; not where the rig stays warm."""

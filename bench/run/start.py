@@ -86,7 +86,7 @@ from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
-from textfiles.text import plural
+from textfiles.text import named, plural
 from textfiles.whole import refusal
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
@@ -182,7 +182,7 @@ def _of_a_queue(
     try:
         return run()
     except Exception as error:
-        events.warn(f"{store.folder}: {type(error).__name__}: {error}")
+        events.warn(f"{store.folder}: {named(error)}")
         return store.folder, RunState.FAULTED
 
 

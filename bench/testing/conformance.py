@@ -11,16 +11,19 @@ from __future__ import annotations
 import re
 import signal
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
+from textfiles.text import named
 
 CLOSED_S = 5.0  # until the other end has noticed
 
@@ -74,6 +77,10 @@ class Subject:
 
     def forgiven(self) -> str:
         """In words; empty for nothing."""
+        return self.of_emulator()
+
+    def of_emulator(self) -> str:
+        """Why its emulator, not its driver, failed; empty where it did not."""
         return ""
 
     def cut(self) -> None:
@@ -91,26 +98,38 @@ class Subject:
 
 
 class Cable:
-    """Hands bytes on to a device, ``late_s`` late."""
+    """Hands bytes on to a device, ``late_s`` late. It breaks where the emulated device raises; the
+    first such ``fault`` in words.
+    """
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self.late_s = 0.0
         self.hosts = 0
+        self.fault = ""
 
     def connect(self, connection: Connection) -> None:
         self.hosts += 1
-        self.device.connect(connection)
+        self._whole(connection, lambda: self.device.connect(connection))
 
     def receive(self, connection: Connection, data: bytes) -> None:
-        if self.late_s:
-            connection.after(self.late_s, lambda: self.device.receive(connection, data))
-        else:
-            self.device.receive(connection, data)
+        def hand_on() -> None:
+            self._whole(connection, lambda: self.device.receive(connection, data))
+
+        connection.after(self.late_s, hand_on) if self.late_s else hand_on()
 
     def disconnect(self, connection: Connection) -> None:
         self.hosts -= 1
-        self.device.disconnect(connection)
+        self._whole(connection, lambda: self.device.disconnect(connection))
+
+    def _whole(self, connection: Connection, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception as error:  # another's code
+            at = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(at.filename).name}:{at.lineno}"
+            self.fault = self.fault or f"its emulator raises {named(error)} ({place})"
+            connection.hang_up()
 
 
 class Wired(Subject):
@@ -124,6 +143,9 @@ class Wired(Subject):
         self.cable = Cable(device)
         self.listen = partial(Listener, self.cable, clock, lock=threading.RLock(), name=name)
         self.listener = self.listen()
+
+    def of_emulator(self) -> str:
+        return self.cable.fault
 
     def link(self, who: str) -> Link:
         return Link(self.listener.url, self.clock, who=who)
@@ -329,9 +351,10 @@ def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> 
         except NotCheckedError as reason:
             yield Finding(name, "not checked", str(reason))
         except (AssertionError, InstrumentError) as error:
-            fault = getattr(error, "what", name), getattr(error, "asked", None)
-            first = said.setdefault(re.sub(r"\d+", "", f"{type(error)} {fault}"), name)
-            why = f"{error}" if subject else f"it can't be opened: {error}"
+            own = subject.of_emulator() if subject else ""
+            fault = type(error), getattr(error, "what", name), getattr(error, "asked", None)
+            first = said.setdefault(own or re.sub(r"\d+", "", f"{fault}"), name)
+            why = own or (f"{error}" if subject else f"it can't be opened: {error}")
             yield Finding(name, "failed", why if first == name else f"cause as of: {first}")
         else:
             yield Finding(name, "passed")

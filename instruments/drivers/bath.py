@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Literal
 
+from pydantic import ValidationError
+
 from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profile
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
@@ -49,8 +51,17 @@ def profile_of(plugged: Plugin) -> Profile:
             alarms=(AlarmCode(code=ALARM, cause="other", text="as it says", evidence="CERTAIN"),),
         )
     except Exception as error:  # another's class
-        what = f"its class has to say range_c, step_k, pump and comms_loss: {error}"
+        what = f"its class has to say range_c, step_k, pump and comms_loss: {_words(error)}"
         raise LimitError("bath", what, hint=f"Correct {plugged}.") from error
+
+
+def _words(error: Exception) -> str:
+    """The first fault of a model, by the bath's word for it."""
+    if not isinstance(error, ValidationError):
+        return f"{error}"
+    first = error.errors()[0]
+    key = "step_k: " if first["loc"] == ("scale",) else ""
+    return f"{key}{first['msg'].removeprefix('Value error, ')}"
 
 
 def _row(name: str, **more: Any) -> Quantity:
