@@ -77,10 +77,6 @@ class Subject:
 
     def forgiven(self) -> str:
         """In words; empty for nothing."""
-        return self.of_emulator()
-
-    def of_emulator(self) -> str:
-        """Why its emulator, not its driver, failed; empty where it did not."""
         return ""
 
     def cut(self) -> None:
@@ -143,9 +139,6 @@ class Wired(Subject):
         self.cable = Cable(device)
         self.listen = partial(Listener, self.cable, clock, lock=threading.RLock(), name=name)
         self.listener = self.listen()
-
-    def of_emulator(self) -> str:
-        return self.cable.fault
 
     def link(self, who: str) -> Link:
         return Link(self.listener.url, self.clock, who=who)
@@ -351,7 +344,7 @@ def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> 
         except NotCheckedError as reason:
             yield Finding(name, "not checked", str(reason))
         except (AssertionError, InstrumentError) as error:
-            own = subject.of_emulator() if subject else ""
+            own = subject.cable.fault if isinstance(subject, Wired) else ""
             fault = type(error), getattr(error, "what", name), getattr(error, "asked", None)
             first = said.setdefault(own or re.sub(r"\d+", "", f"{fault}"), name)
             why = own or (f"{error}" if subject else f"it can't be opened: {error}")

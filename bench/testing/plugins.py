@@ -278,7 +278,7 @@ class PluginSubject(Subject):
             raise NotCheckedError(f"it may not {does} here (`works`)")
 
     def forgiven(self) -> str:
-        return "; ".join(dict.fromkeys([*self.watch.faults, *filter(None, [self.of_emulator()])]))
+        return "; ".join(dict.fromkeys(self.watch.faults))
 
     def recover(self) -> None:
         if self.kind == "stage":
@@ -350,6 +350,9 @@ class OnEmulator(PluginSubject, Wired):
             self.world.hold(np.array(tip_mm), UP)
             return tip_mm
         return super().change()
+
+    def forgiven(self) -> str:
+        return self.cable.fault or super().forgiven()
 
     def cut(self) -> None:
         super().cut()
