@@ -35,6 +35,7 @@ from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.hand_over import free_bath
 from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
+from bench.rig.model import Rig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import is_emulated
 from bench.run.cameras_so_far import CamerasSoFar
@@ -248,6 +249,15 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
     return make_detectors(*wanted)
 
 
+def kind_facts(rig: Rig) -> dict[str, Any]:
+    """Whether its instruments are real, and where some are, which of them are emulated."""
+    if rig.all_emulated:
+        return {"kind": "emulated"}
+    if rig.emulated:
+        return {"kind": "mixed", EMULATED_FACT: list(rig.emulated)}
+    return {"kind": "recorded" if rig.cameras.recorded else "real"}
+
+
 def _begun(
     rig: LoadedRig,
     script: LoadedScript,
@@ -264,11 +274,8 @@ def _begun(
     order = pose_set(trials, script.planned, seed=table.seed, order=table.order)
     today = wall_time().date()
     recorded = rig.rig.cameras.recorded
-    kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
-    kind = "mixed" if rig.rig.emulated and kind != "emulated" else kind
     facts = {
-        "kind": kind,
-        **({EMULATED_FACT: list(rig.rig.emulated)} if kind == "mixed" else {}),
+        **kind_facts(rig.rig),
         "title": table.title,
         "about": table.about,
         "seed": how.seed,
@@ -276,7 +283,7 @@ def _begun(
         "script": script.name,
         "set_point_c": table.bath.set_point_c,
         "planned": len(script.planned),
-        CALIBRATION_FACT: calibration_fact(rig.calibration, today, emulated=kind == "emulated"),
+        CALIBRATION_FACT: calibration_fact(rig.calibration, today, emulated=rig.rig.all_emulated),
         "pose set": order,
         **({RECORDED: str(how.record.resolve())} if how.record else {}),
         ASKED: {

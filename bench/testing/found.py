@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import cv2
 from pydantic import TypeAdapter, ValidationError
@@ -22,6 +23,7 @@ from bench.toml import toml_text
 from detector.calibration import dump_calibration
 
 SCENE, PICTURE, TEST = "scene.toml", "scene.png", "test_scene.py"
+LONGEST = 100  # characters of a folder's name
 HEADING = (
     "The simplest scene on which a test failed; 'teatbench campaign keep' adds it to a recording."
 )
@@ -48,8 +50,9 @@ def write_found(error: SceneFailedError, folder: Path) -> Path:
 
 
 def folder_name(test: str) -> str:
-    """A folder's name for a test's."""
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", test).strip("-.") or "scene"
+    """A folder's name for a test's; a long one is cut, and told apart by its digest."""
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", test).strip("-.") or "scene"
+    return name if len(name) <= LONGEST else f"{name[:LONGEST]}-{crc32(test.encode()):08x}"
 
 
 def read_scene(path: Path) -> tuple[Scene, dict[str, Any]]:

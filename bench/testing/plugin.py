@@ -235,7 +235,8 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
 
     try:
         trials, done = _trials(request.config), [0]
-    except pytest.UsageError as error:
+        _ = trials.detector  # one that can't be had ends the session, not each test
+    except (pytest.UsageError, bench.ConfigError) as error:
         _refuse(request.config, error, 4)
 
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
