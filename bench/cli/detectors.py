@@ -8,7 +8,6 @@ import argparse
 import math
 import os
 import re
-import shlex
 import shutil
 import sys
 import tomllib
@@ -21,6 +20,7 @@ from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_together
 from detector import Outcome
+from textfiles.text import in_command
 
 if TYPE_CHECKING:
     from detector import Detector, Teat
@@ -67,7 +67,7 @@ def new(given: argparse.Namespace) -> None:
         print(f"compile: cd {given.out} && {COMPILED.format(name=name)}")
     elif given.language == "javascript" and not shutil.which("node"):
         print("node was not found: install Node.js")
-    print(f"try it:  teatbench detectors try {word}")
+    print(f"try it:  teatbench detectors try {in_command(word)}")
 
 
 def detect(given: argparse.Namespace) -> int:
@@ -129,7 +129,7 @@ def try_out(given: argparse.Namespace) -> int:
         print(_nearest(teat, shot.truth))
     if found.reason:
         print(f"its reason: {found.reason}")
-    word = shlex.quote(given.word)
+    word = in_command(given.word)
     print(f"The format is right. Score it: teatbench score RECORDING --detector {word}")
     return CODES.met
 

@@ -8,7 +8,6 @@ import errno
 import gc
 import os
 import re
-import shlex
 import sqlite3
 import sys
 import traceback
@@ -25,7 +24,7 @@ from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches, 
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import keep_writing, sanitizing
-from textfiles.text import did_you_mean, full_stop, words_of
+from textfiles.text import did_you_mean, full_stop, in_command, words_of
 from textfiles.whole import is_full
 
 if TYPE_CHECKING:
@@ -169,7 +168,7 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
     def given_or_named(found: re.Match[str]) -> str:
         value = values.get(found[1])
         one = value[0] if isinstance(value, list) and value else value
-        return shlex.quote(str(one)) if one else found[1].upper()
+        return in_command(one) if one else found[1].upper()
 
     following = commands.table("following").get(given.called)
     if not following:

@@ -162,15 +162,19 @@ def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement
     root.set("time", f"{took_s:.3f}")
     for detector in dict.fromkeys(who for who, *_ in cases):
         suite = ET.SubElement(root, "testsuite", name=detector, id=known_as, timestamp=started)
-        for _, name, kind, message, rule in (one for one in cases if one[0] == detector):
+        if status.mark:
+            marks = ET.SubElement(suite, "properties")
+            ET.SubElement(marks, "property", name="mark", value=status.mark)
+        those = [one for one in cases if one[0] == detector]
+        for _, name, kind, message, rule in those:
             named = {"classname": detector, "name": name, "time": share_s}
             case = ET.SubElement(suite, "testcase", named)
             if kind:
                 ET.SubElement(case, kind, message=message).text = rule or None
         kinds = {"failures": "failure", "skipped": "skipped", "errors": "error"}
         numbers = {name: len(suite.findall(f".//{kind}")) for name, kind in kinds.items()}
-        suite.attrib |= {name: str(n) for name, n in {"tests": len(suite), **numbers}.items()}
-        suite.set("time", f"{float(share_s) * len(suite):.3f}")
+        suite.attrib |= {name: str(n) for name, n in {"tests": len(those), **numbers}.items()}
+        suite.set("time", f"{float(share_s) * len(those):.3f}")
     ET.indent(root)
     text = sanitized(ET.tostring(root, encoding="unicode"))
     return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'

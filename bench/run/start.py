@@ -253,8 +253,8 @@ def kind_facts(rig: Rig) -> dict[str, Any]:
     """Whether its instruments are real, and where some are, which of them are emulated."""
     if rig.all_emulated:
         return {"kind": "emulated"}
-    if rig.emulated:
-        return {"kind": "mixed", EMULATED_FACT: list(rig.emulated)}
+    if rig.partly_emulated:
+        return {"kind": "mixed", EMULATED_FACT: list(rig.partly_emulated)}
     return {"kind": "recorded" if rig.cameras.recorded else "real"}
 
 

@@ -22,7 +22,7 @@ from bench.safety.interlocks import InterlockTrip, rule_named
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
 from instruments.errors import DeviceError
-from textfiles.text import named
+from textfiles.text import in_command, named
 
 ENDING = ".tripped.json"
 STAYS_HOT = ("hold", "unknown")  # kinds of comms_loss
@@ -95,7 +95,7 @@ def refuse_latched(rig: LoadedRig) -> None:
     latch = read_latch(latch_path(rig))
     if latch is not None:
         then = str(latch.content.get("then", ""))
-        hint = f"{then} Then: teatbench bath acknowledge {rig.path}".strip()
+        hint = f"{then} Then: teatbench bath acknowledge {in_command(rig.path)}".strip()
         raise LatchedError("rig", f"not started: {latch}", hint=hint)
 
 

@@ -264,12 +264,14 @@ def pytest_runtest_makereport(
     own = sys.modules.get("bench.testing.checking")
     if own and call.excinfo and isinstance(error := call.excinfo.value, own.SceneFailedError):
         from bench.testing.found import folder_name, write_found
+        from textfiles.text import in_command
 
         text = f"{error}\n{error.neighbourhood()}\n\n{error.lines()}"
         try:
             folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
             text += f"\nPicture: {folder / 'scene.png'}"
-            text += f"\nKeep it: teatbench campaign keep {folder} --into recordings/kept"
+            keep = f"teatbench campaign keep {in_command(folder)} --into recordings/kept"
+            text += f"\nKeep it: {keep}"
         except OSError as fault:
             text += f"\nNot written: {fault}. Name another folder with --found-scenes."
         report.sections.append(("simplest scene", text))
