@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 from functools import partial
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
 
 CALIBRATION = KEPT / "calibration.toml"
@@ -64,3 +66,14 @@ def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     assert "Make room." in done.stderr, done.stderr
     left = [one for one in there.rglob("*") if one.is_dir() or one.stat().st_size]
     assert not left
+
+
+def test_a_report_that_cannot_be_written_says_that_the_run_is_kept(
+    tmp_path: Path, said: Said
+) -> None:
+    run = Path(shutil.copytree(KEPT, tmp_path / "a run"))
+    shutil.rmtree(run / "report", ignore_errors=True)
+    (run / "report").touch()
+    err = said(3, "report {} --no-pdf", run).err
+    then = f'The run is kept. Remove the cause, then: teatbench report "{run}"'
+    assert err == f"teatbench: {run / 'report'}: File exists. {then}\n"
