@@ -87,6 +87,21 @@ def promised() -> dict[str, Any]:
     }
 
 
+@pytest.mark.parametrize("program", ["own.py", "test_own.py"])
+def test_a_file_that_hides_a_package_of_the_bench_is_named(program: str, tmp_path: Path) -> None:
+    hiding = tmp_path / "detector.py"
+    hiding.write_text("from detector.protocol import Detection\n", encoding="utf-8")
+    (tmp_path / program).write_text("from bench.testing import check\n", encoding="utf-8")
+    how = ("-m", "pytest", "-p", "no:cacheprovider") if program.startswith("test") else ()
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *how, program]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    says = f"{hiding} hides teatbench's package 'detector': give that file another name"
+    assert says in done.stdout + done.stderr
+
+
 def test_names_and_signatures_are_as_they_were() -> None:
     """``python -m tests.test_api`` writes them down anew, for a change that is meant."""
     assert promised() == json.loads(KEPT.read_text(encoding="utf-8"))
