@@ -5,7 +5,6 @@
 from importlib import import_module
 from sys import modules
 
-# of this installation, each of which a file of that name beside a program would hide
 PACKAGES = ("bench", "detector", "instruments", "reports", "textfiles")
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -53,5 +52,5 @@ def _refuse_hidden(error: ModuleNotFoundError) -> None:
     hidden = (error.name or "").partition(".")[0]
     there = find_spec(hidden) if hidden in PACKAGES else None
     if there and not there.submodule_search_locations:
-        why = f"{there.origin} hides teatbench's package {hidden!r}: give that file another name"
-        raise ImportError(why) from error
+        why = f"hides teatbench's package {hidden!r}: give that file another name"
+        raise ImportError(f"{there.origin} {why}") from error

@@ -385,8 +385,6 @@ def gather(
 
 
 def _kept(views: int, folder: Path) -> str:
-    if not views:
-        return "Taken so far: no view."
     return f"Taken so far: {plural(views, 'view')}, in {folder}, to be given with further ones."
 
 

@@ -20,7 +20,6 @@ from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_together
 from detector import Outcome
-from textfiles.lazy import PACKAGES
 from textfiles.text import in_command
 
 if TYPE_CHECKING:
@@ -45,9 +44,6 @@ def new(given: argparse.Namespace) -> None:
     name = given.name
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}", name):
         raise ConfigError.plain(f"--name {name}: letters, digits, - and _ only")
-    if given.language == "python" and name in PACKAGES:
-        why = f"{name}.py would hide a package of the bench from Python programs beside it"
-        raise ConfigError.plain(f"--name {name}: {why}. Give another name.")
     skeletons = Path(detector.__file__).parent / "external" / "skeletons"
     end = SKELETONS[given.language]
     files = program, file = given.out / f"{name}{end}", given.out / f"{name}.toml"

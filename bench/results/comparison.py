@@ -161,11 +161,8 @@ def compare_sides(
         )
     pairs = tuple(
         ScenePair(
-            a.id,
-            a.pose,
-            str(a.head["situation"]),
-            a.scores[old.detector],
-            b.scores[new.detector],
+            *(a.id, a.pose, str(a.head["situation"])),
+            *(a.scores[old.detector], b.scores[new.detector]),
             same=_answer(a, old.detector) == _answer(b, new.detector),
         )
         for a, b in matched
@@ -198,12 +195,8 @@ def compare_sides(
 def _answer(trial: TrialRecord, detector: str) -> list[list[Any]]:
     """What a detector answered, as recorded, without how long it took."""
     tables = ((trial.detections, ("hidden", "outcome")), (trial.found, ANSWERED))
-    return [
-        [row[key] for key in keys]
-        for rows, keys in tables
-        for row in rows
-        if row["detector"] == detector
-    ]
+    own = ((row, keys) for rows, keys in tables for row in rows if row["detector"] == detector)
+    return [[row[key] for key in keys] for row, keys in own]
 
 
 def _item(side: Side) -> Any:

@@ -32,11 +32,8 @@ def write_exports(
     run: RunRecord, status: RunStatus, judgements: Sequence[Judgement], folder: Path
 ) -> None:
     """Write the three files into ``folder``, or none."""
-    texts = {
-        "trials.csv": _trials_csv(run),
-        "run.json": _run_json(run, status, judgements),
-        "junit.xml": _junit_xml(run, status, judgements),
-    }
+    text, junit = _run_json(run, status, judgements), _junit_xml(run, status, judgements)
+    texts = {"trials.csv": _trials_csv(run), "run.json": text, "junit.xml": junit}
     write_together(folder, ((name, text.encode()) for name, text in texts.items()))
 
 

@@ -170,10 +170,8 @@ class RunStatus:
     @property
     def mark(self) -> str:
         """What has to stand beside the figures of a rig that is partly emulated; else empty."""
-        if not self.emulated:
-            return ""
-        said = f"SOME INSTRUMENTS EMULATED: {', '.join(self.emulated)}"
-        return f"{said}. The figures are no measurement."
+        said = f"SOME INSTRUMENTS EMULATED: {', '.join(self.emulated)}."
+        return f"{said} The figures are no measurement." if self.emulated else ""
 
     @property
     def under_way(self) -> bool:

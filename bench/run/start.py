@@ -251,11 +251,10 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
 
 def kind_facts(rig: Rig) -> dict[str, Any]:
     """Whether its instruments are real, and where some are, which of them are emulated."""
-    if rig.all_emulated:
-        return {"kind": "emulated"}
     if rig.partly_emulated:
         return {"kind": "mixed", EMULATED_FACT: list(rig.partly_emulated)}
-    return {"kind": "recorded" if rig.cameras.recorded else "real"}
+    real = "recorded" if rig.cameras.recorded else "real"
+    return {"kind": "emulated" if rig.all_emulated else real}
 
 
 def _begun(

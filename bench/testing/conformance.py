@@ -11,19 +11,17 @@ from __future__ import annotations
 import re
 import signal
 import threading
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Literal
 
+from instruments.bath.sequence import cause_of
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
-from textfiles.text import named
 
 CLOSED_S = 5.0  # until the other end has noticed
 
@@ -122,9 +120,7 @@ class Cable:
         try:
             work()
         except Exception as error:  # another's code
-            at = traceback.extract_tb(error.__traceback__)[-1]
-            place = f"{Path(at.filename).name}:{at.lineno}"
-            self.fault = self.fault or f"its emulator raises {named(error)} ({place})"
+            self.fault = self.fault or f"its emulator raises {cause_of(error)}"
             connection.hang_up()
 
 

@@ -33,15 +33,7 @@ from instruments.drivers import entry_points as plugs
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import (
-    Kind,
-    Plugin,
-    PluginUrl,
-    available,
-    emulator_of,
-    load,
-    said,
-)
+from instruments.drivers.entry_points import Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.world.world import World
@@ -328,7 +320,7 @@ class OnEmulator(PluginSubject, Wired):
         try:
             return read(getattr(self.emulator, name)())
         except Exception as error:  # another's code
-            raise AssertionError(f"the emulator's own {name}(): {said(error)}") from error
+            raise AssertionError(f"the emulator's own {name}(): {plugs.said(error)}") from error
 
     def is_safe(self) -> bool:
         return bool(self._own("is_safe", bool, super().is_safe))
@@ -423,7 +415,9 @@ def check_driver(
 
             def emulated() -> Subject:
                 try:
-                    return OnEmulator(of, plugged, now, emulator_of(make, world, now), world=world)
+                    return OnEmulator(
+                        of, plugged, now, plugs.emulator_of(make, world, now), world=world
+                    )
                 except LimitError as error:
                     raise ConfigError.plain(f"`emulator`: {error}") from error
 

@@ -12,6 +12,7 @@ from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profil
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
 from instruments.clock import Clock
+from instruments.device_file import faults_of
 from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin, short
 from instruments.drivers.plugin import BathDriver, BathState
@@ -51,17 +52,10 @@ def profile_of(plugged: Plugin) -> Profile:
             alarms=(AlarmCode(code=ALARM, cause="other", text="as it says", evidence="CERTAIN"),),
         )
     except Exception as error:  # another's class
-        what = f"its class has to say range_c, step_k, pump and comms_loss: {_words(error)}"
+        faults = faults_of(error) if isinstance(error, ValidationError) else [((), error)]
+        why = "; ".join(f"{said}" for _, said in faults)
+        what = f"its class has to say range_c, step_k, pump and comms_loss: {why}"
         raise LimitError("bath", what, hint=f"Correct {plugged}.") from error
-
-
-def _words(error: Exception) -> str:
-    """The first fault of a model, by the bath's word for it."""
-    if not isinstance(error, ValidationError):
-        return f"{error}"
-    first = error.errors()[0]
-    key = "step_k: " if first["loc"] == ("scale",) else ""
-    return f"{key}{first['msg'].removeprefix('Value error, ')}"
 
 
 def _row(name: str, **more: Any) -> Quantity:

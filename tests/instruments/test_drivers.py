@@ -128,7 +128,7 @@ def test_what_makes_no_emulator_is_named_in_a_rig_too(world: tuple[World, Virtua
 def test_a_command_that_ends_by_an_error_without_words_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("bench.testing.plugins.emulator_of", broken)
+    monkeypatch.setattr("instruments.drivers.entry_points.emulator_of", broken)
     assert main(["plugin", "check", "tank"]) == 3
     assert "WordlessError" in capsys.readouterr().err
 

@@ -6,7 +6,7 @@ import itertools
 import json
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from types import MappingProxyType
@@ -122,7 +122,8 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
 class Elsewhere:
     """A detector whose one end is nowhere near a teat, ``x_mm`` beside."""
 
-    name, version, parameters = "elsewhere", "1", MappingProxyType({})
+    name, version = "elsewhere", "1"
+    parameters: Mapping[str, object] = MappingProxyType({})
 
     def __init__(self, x_mm: float) -> None:
         self.x_mm = x_mm

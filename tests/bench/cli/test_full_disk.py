@@ -11,6 +11,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,7 +60,10 @@ def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     words = shlex.split(COMMANDS[what].format(**places))
     command = [sys.executable, "-m", "bench.cli", *words]
     # else a part of a compiled module would be left for all others
-    how = {"env": {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}, "preexec_fn": partial(full, room)}
+    how: dict[str, Any] = {
+        "env": {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        "preexec_fn": partial(full, room),
+    }
     done = subprocess.run(command, capture_output=True, text=True, check=False, **how)
     assert done.returncode == 3, done
     assert "written:" not in done.stdout
