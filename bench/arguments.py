@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import sys
 import types
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache, partial, wraps
 from pathlib import Path
@@ -115,10 +115,12 @@ def _hints(function: Any) -> dict[str, Any]:
 def fits(value: Any, hint: Any) -> bool:
     """Whether ``value`` is of the kind ``hint``: NaN and inf are no numbers, a text no list."""
     made, parts = _made_of(hint), get_args(hint)
+    if isinstance(value, str | Path) and "\0" in str(value):  # no file, name or address has it
+        return False
     if made is Union:
         return any(fits(value, one) for one in parts)
     if made is Literal:
-        return value in parts
+        return isinstance(value, Hashable) and value in parts
     if made is Callable:
         return callable(value)
     if made in (tuple, Iterable):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from textfiles.whole import is_full, new_folders, replace_whole
+from textfiles.whole import is_full, new_folders, replace_all, replace_whole
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -56,8 +56,13 @@ def _write_picture(path: Path, image: Picture) -> str:
 
 def write_synced(path: Path, data: bytes) -> None:
     """``data`` at ``path``, durable; after a crash whole or not at all."""
-    with new_folders(path.parent):
-        replace_whole(path, data, synced=True)
+    write_together(path.parent, [(path.name, data)])
+
+
+def write_together(folder: Path, files: Iterable[tuple[str, bytes]]) -> list[Path]:
+    """Each name's data in ``folder``, durable: where one can't be written, none is."""
+    with new_folders(folder):
+        return replace_all(((folder / name, data) for name, data in files), synced=True)
 
 
 def sha256_of(path: Path) -> str:

@@ -16,6 +16,8 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, cast
 
+from textfiles.text import named
+
 if TYPE_CHECKING:
     from detector.calibration import Calibration
     from detector.protocol import Context, Detection, Detector, Frames, TrainedOn
@@ -146,11 +148,7 @@ def _plugged(plug: EntryPoint) -> PluginDetector:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        try:
-            said = _line(f"{type(error).__name__}: {error}").removesuffix(":")
-        except Exception:  # its own words fail
-            said = type(error).__name__
-        raise BrokenDetectorError(f"{who} can't be loaded: {said}") from error
+        raise BrokenDetectorError(f"{who} can't be loaded: {_line(named(error))}") from error
     if not callable(getattr(made, "detect", None)):
         what = f"is a {type(made).__name__}, which has no detect(frame_set, calibration)"
         raise BrokenDetectorError(f"{who} {what}")

@@ -45,10 +45,10 @@ def read_device(path: Path, model_of: Callable[[Mapping[str, Any]], type[Model]]
     except TextError as error:
         raise DeviceFileError(path, [((), str(error))]) from error
     except ValidationError as error:
-        raise DeviceFileError(path, list(_faults(error))) from error
+        raise DeviceFileError(path, list(faults_of(error))) from error
 
 
-def _faults(error: ValidationError) -> Iterator[tuple[Keys, str]]:
+def faults_of(error: ValidationError) -> Iterator[tuple[Keys, str]]:
     for detail in error.errors():
         cause, kind = detail.get("ctx", {}).get("error"), detail["type"]
         if isinstance(cause, FaultsError):

@@ -19,8 +19,9 @@ import sys
 import zipfile
 from contextlib import closing
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, Literal, cast, get_args, get_origin
 
+import numpy as np
 import pytest
 
 import bench
@@ -87,6 +88,21 @@ def promised() -> dict[str, Any]:
     }
 
 
+@pytest.mark.parametrize("program", ["own.py", "test_own.py"])
+def test_a_file_that_hides_a_package_of_the_bench_is_named(program: str, tmp_path: Path) -> None:
+    hiding = tmp_path / "detector.py"
+    hiding.write_text("from detector.protocol import Detection\n", encoding="utf-8")
+    (tmp_path / program).write_text("from bench.testing import check\n", encoding="utf-8")
+    how = ("-m", "pytest", "-p", "no:cacheprovider") if program.startswith("test") else ()
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *how, program]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    says = f"{hiding} hides teatbench's package 'detector': give that file another name"
+    assert says in done.stdout + done.stderr
+
+
 def test_names_and_signatures_are_as_they_were() -> None:
     """``python -m tests.test_api`` writes them down anew, for a change that is meant."""
     assert promised() == json.loads(KEPT.read_text(encoding="utf-8"))
@@ -131,10 +147,14 @@ NO_SENTENCE = "has no attribute|takes|argument|NoneType|expected|unpack|index|op
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_arguments_of_a_wrong_kind_are_refused_by_name(name: str) -> None:
-    """Neither a thing, nor NaN, nor None where it isn't said, for whatever it takes."""
+    """Neither a thing, nor NaN, nor a text with a zero byte, nor an array for one of a few, nor None
+    where it isn't said, for whatever it takes.
+    """
     function = FUNCTIONS[name]
     for one, hint in _hints(vars(function)["__wrapped__"]).items():
-        for wrong in (object(), math.nan, *([] if type(None) in get_args(hint) else [None])):
+        array = [np.zeros(2)] if get_origin(hint) is Literal else []
+        nothing = [] if type(None) in get_args(hint) else [None]
+        for wrong in (object(), math.nan, "a\0b", *array, *nothing):
             parameters = inspect.signature(function).parameters
             many, ahead = parameters[one].kind == 2, [""] * [*parameters].index(one)  # *arguments
             with pytest.raises(bench.ConfigError, match=rf"^{one} is .*, not \S"):

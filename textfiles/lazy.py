@@ -5,6 +5,7 @@
 from importlib import import_module
 from sys import modules
 
+PACKAGES = ("bench", "detector", "instruments", "reports", "textfiles")
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,10 +32,25 @@ def lazily(package: str, guard: str = "") -> "tuple[Callable[[str], Any], Callab
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         if known[name] == package:  # a package within it
             return import_module(f"{package}.{name}")
-        found = getattr(import_module(known[name]), name)
+        try:
+            found = getattr(import_module(known[name]), name)
+        except ModuleNotFoundError as error:
+            _refuse_hidden(error)
+            raise
         if guard:
             found = import_module(guard).guarded(found, package)
         setattr(there, name, found)
         return found
 
     return get, lambda: [*vars(modules[package]), *get("__all__")]
+
+
+def _refuse_hidden(error: ModuleNotFoundError) -> None:
+    """Raise ImportError where another's file has the name of one of the packages."""
+    from importlib.util import find_spec
+
+    hidden = (error.name or "").partition(".")[0]
+    there = find_spec(hidden) if hidden in PACKAGES else None
+    if there and not there.submodule_search_locations:
+        why = f"hides teatbench's package {hidden!r}: give that file another name"
+        raise ImportError(f"{there.origin} {why}") from error

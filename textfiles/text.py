@@ -6,6 +6,9 @@ from __future__ import annotations
 
 import codecs
 import difflib
+import os
+import re
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -68,9 +71,30 @@ def range_text(first: object, last: object, form: str = "") -> str:
     return " to ".join(dict.fromkeys((format(first, form), format(last, form))))
 
 
+def words_of(error: object) -> str:
+    """What it says of itself; nothing where that fails, as of an error of another's code."""
+    try:
+        return str(error)
+    except Exception:
+        return ""
+
+
+def named(error: object) -> str:
+    """Its kind and words."""
+    return f"{type(error).__name__}: {words_of(error)}".removesuffix(": ")
+
+
 def full_stop(text: str) -> str:
     """``text`` as a sentence's end."""
     return text if text.endswith((".", "?", "!")) else f"{text}."
+
+
+def in_command(path: object) -> str:
+    """As one word of a command: in quotes where it needs them, at POSIX shells and Windows's."""
+    text = str(path)
+    if re.fullmatch(r"[\w@%+=:,./~-]+" if os.name != "nt" else r"[\w@%+=:,./~\\-]+", text):
+        return text
+    return shlex.quote(text) if set(text) & set('"$`\\!') and os.name != "nt" else f'"{text}"'
 
 
 def short(text: str) -> str:

@@ -9,27 +9,40 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from textfiles.text import full_stop
+from textfiles.text import full_stop, words_of
 
 
 def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
     """``data`` at ``path``: who reads it finds all of it, or what was there; ``synced``: after a
     crash too. Raises OSError, which names the file; nothing is left beside it then.
     """
-    if path.is_dir():  # before anything is left beside it
-        raise IsADirectoryError(f"{path} is a folder")
-    part = path.with_name(path.name + ".part")
+    replace_all([(path, data)], synced=synced)
+
+
+def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) -> list[Path]:
+    """As `replace_whole`; none takes its place before all are written. Gives their paths."""
+    parts: dict[Path, Path] = {}
     try:
-        with part.open("wb") as file:
-            file.write(data)
-            if synced:
-                file.flush()
-                sync(file.fileno())
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        error.filename = error.filename or str(path)  # a full disk names none
+        for path, data in files:
+            if path.is_dir():  # before anything is left beside it
+                raise IsADirectoryError(f"{path} is a folder")
+            parts[path] = path.with_name(path.name + ".part")
+            try:
+                with parts[path].open("wb") as file:
+                    file.write(data)
+                    if synced:
+                        file.flush()
+                        sync(file.fileno())
+            except OSError as error:
+                error.filename = error.filename or str(path)  # a full disk names none
+                raise
+    except BaseException:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
         raise
-    part.replace(path)
+    for path, part in parts.items():
+        part.replace(path)
+    return list(parts)
 
 
 @contextmanager
@@ -58,7 +71,7 @@ def _made(folder: Path) -> list[Path]:
 def is_full(error: BaseException | None) -> bool:
     """Whether it comes of a full disk, or a quota."""
     no_room = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
-    full = getattr(error, "errno", None) in no_room or "disk is full" in str(error)
+    full = getattr(error, "errno", None) in no_room or "disk is full" in words_of(error)
     return full or (error is not None and is_full(error.__cause__))
 
 

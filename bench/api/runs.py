@@ -162,8 +162,8 @@ def run_queue(
     for (folder, _), script in zip(ended, found, strict=False):
         try:
             reports.append(_timed(parts.report(folder), loaded, script))
-        # of a full disk: each run is kept, whatever becomes of the others
-        except (OSError, sqlite3.Error) as error:
+        # of a full disk, or a file that is gone: each run is kept, whatever becomes of the others
+        except (OSError, sqlite3.Error, ConfigError, RecordingError) as error:
             if len(found) == 1:
                 raise
             at = getattr(error, "filename", None) or folder

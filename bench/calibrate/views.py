@@ -356,9 +356,7 @@ def gather(
             return number - 1
         except InstrumentError as error:
             if (lost := lost + 1) == TRIES:
-                if number > 1:
-                    kept = plural(number - 1, "view")
-                    report(f"Taken so far: {kept}, in {folder}, to be given with further ones.")
+                report(_kept(number - 1, folder))
                 raise
             report(f"view {number}: {error} The view is asked for again.")
             continue
@@ -368,18 +366,26 @@ def gather(
                     f"the rig has no {camera} camera: {', '.join(seen)} delivered pictures"
                 )
         pictures = {camera: seen[camera] for camera in wanted.cameras}
-        for camera, picture in pictures.items():
-            write_picture(folder / camera / f"{number:02d}.png", picture)
-        said = guide.add(
-            {c: p[:, ::-1].copy() if c in wanted.mirrored else p for c, p in pictures.items()}
-        )
-        report(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
-        write_picture(folder / GUIDE, guide.picture())
-        number += 1
+        try:
+            for camera, picture in pictures.items():
+                write_picture(folder / camera / f"{number:02d}.png", picture)
+            said = guide.add(
+                {c: p[:, ::-1].copy() if c in wanted.mirrored else p for c, p in pictures.items()}
+            )
+            report(f"view {number}: " + "; ".join(f"{name} {text}" for name, text in said.items()))
+            number += 1
+            write_picture(folder / GUIDE, guide.picture())
+        except OSError:  # of a full disk, for one
+            report(_kept(number - 1, folder))
+            raise
     report(
         f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}."
     )
     return wanted.most
+
+
+def _kept(views: int, folder: Path) -> str:
+    return f"Taken so far: {plural(views, 'view')}, in {folder}, to be given with further ones."
 
 
 def free_folder(out: Path) -> Path:

@@ -76,7 +76,9 @@ def compare_campaigns(
             _refuse_unexplained(old.run, new.run, both[same.index(False)], same.count(False))
         pairs = tuple(
             ScenePair(
-                scene.name, scene.name, scene.family, scores[0][scene][0], scores[1][scene][0]
+                *(scene.name, scene.name, scene.family),
+                *(scores[0][scene][0], scores[1][scene][0]),
+                same=not scores[0][scene][0].counts.false,  # whose places are not kept
             )
             for scene in both
         )

@@ -20,6 +20,7 @@ import cv2
 from bench.campaign.chunk import Bench, Rows, Scene, run_scene, set_aside
 from bench.campaign.plan import Job
 from bench.results.answers import close_detectors
+from textfiles.text import named
 
 # of numeric libraries, which read them when they are loaded; OpenCV has a call
 ONE_THREAD = dict.fromkeys(
@@ -40,7 +41,7 @@ def attempt(bench: Bench, scene: Scene) -> Rows:
         return run_scene(bench, scene)
     except Exception as error:
         names = (detector.name for detector in bench.detectors)
-        return set_aside(scene, names, f"{type(error).__name__}: {error}")
+        return set_aside(scene, names, named(error))
 
 
 def main() -> None:

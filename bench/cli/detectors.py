@@ -8,7 +8,6 @@ import argparse
 import math
 import os
 import re
-import shlex
 import shutil
 import sys
 import tomllib
@@ -19,8 +18,9 @@ from typing import TYPE_CHECKING
 import bench
 from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.config import ConfigError, read_calibration
-from bench.files import write_synced
+from bench.files import write_together
 from detector import Outcome
+from textfiles.text import in_command
 
 if TYPE_CHECKING:
     from detector import Detector, Teat
@@ -58,15 +58,16 @@ def new(given: argparse.Namespace) -> None:
     heading = "A detector of your own; all keys: teatbench help detectors. The command runs here."
     if given.language == "cpp":
         heading += f"\nCompile it first: {COMPILED.format(name=name)}"
-    write_synced(program, (skeletons / f"detector{end}").read_bytes())
-    write_synced(file, toml_text(table, heading).encode("utf-8"))
+    skeleton = (skeletons / f"detector{end}").read_bytes()
+    table_text = toml_text(table, heading).encode("utf-8")
+    write_together(given.out, [(program.name, skeleton), (file.name, table_text)])
     word = name if name in bench.detectors() else file
     print(*(f"written: {path}" for path in files), sep="\n")
     if given.language == "cpp":
         print(f"compile: cd {given.out} && {COMPILED.format(name=name)}")
     elif given.language == "javascript" and not shutil.which("node"):
         print("node was not found: install Node.js")
-    print(f"try it:  teatbench detectors try {word}")
+    print(f"try it:  teatbench detectors try {in_command(word)}")
 
 
 def detect(given: argparse.Namespace) -> int:
@@ -128,7 +129,7 @@ def try_out(given: argparse.Namespace) -> int:
         print(_nearest(teat, shot.truth))
     if found.reason:
         print(f"its reason: {found.reason}")
-    word = shlex.quote(given.word)
+    word = in_command(given.word)
     print(f"The format is right. Score it: teatbench score RECORDING --detector {word}")
     return CODES.met
 

@@ -17,6 +17,7 @@ from bench.rig.model import Rig, camera_url
 from instruments.bath.profile import load_profile
 from instruments.camera.radiometric import PROFILES
 from instruments.clock import wall_time
+from textfiles.text import in_command
 
 # standard uncertainty by model, mm, as the maker states it
 MODELS = {"3DX": 0.23, "3DL": 0.64, "3D": 0.38}
@@ -51,13 +52,13 @@ def init(given: argparse.Namespace) -> int:
     about += [f"  {one.url}: {one.kind}, {one.who}" for one in found]
     about += [f"  {url}: camera, {name}" for url, name in cameras.items()]
     about += [f"  nothing for {name}" for name in missing]
-    about += [f"Next: teatbench check {given.out.name}, then 'teatbench help lab'."]
+    about += [f"Next: teatbench check {in_command(given.out.name)}, then 'teatbench help lab'."]
     text = rig_text(read_text(TO_COPY), values, missing, "\n".join(about))
     parse_config(given.out, text, Rig)
     write_synced(given.out, text.encode("utf-8"))
     for name in missing:
         print(f"not found: {name}; its url is marked in the file")
-    print(f"Written: {given.out}. Next: teatbench check {given.out}")
+    print(f"Written: {given.out}. Next: teatbench check {in_command(given.out)}")
     return CODES.met
 
 

@@ -8,7 +8,6 @@ import errno
 import gc
 import os
 import re
-import shlex
 import sqlite3
 import sys
 import traceback
@@ -25,7 +24,7 @@ from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches, 
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import keep_writing, sanitizing
-from textfiles.text import did_you_mean, full_stop
+from textfiles.text import did_you_mean, full_stop, in_command, words_of
 from textfiles.whole import is_full
 
 if TYPE_CHECKING:
@@ -170,7 +169,7 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
     def given_or_named(found: re.Match[str]) -> str:
         value = values.get(found[1])
         one = value[0] if isinstance(value, list) and value else value
-        return shlex.quote(str(one)) if one else found[1].upper()
+        return in_command(one) if one else found[1].upper()
 
     then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in following)
     print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
@@ -193,8 +192,8 @@ MEMORY_WORDS = (
 
 def _is_of_memory(error: BaseException) -> bool:
     """Whether ``error``, or what it was raised in the course of, is of memory."""
-    cause = error.__cause__ or error.__context__
-    if isinstance(error, MemoryError) or any(w in str(error).lower() for w in MEMORY_WORDS):
+    cause, words = error.__cause__ or error.__context__, words_of(error).lower()
+    if isinstance(error, MemoryError) or any(w in words for w in MEMORY_WORDS):
         return True
     return cause is not None and _is_of_memory(cause)
 

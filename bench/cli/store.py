@@ -205,8 +205,8 @@ def _show_runs(found: Runs) -> None:
         steps = " → ".join([*earlier, *(one.brief for _, one in of[-MOST_STEPS:])])
         print_wrapped(console, f"{detector}, {script}: {steps}")
     for run in found.runs:
-        if run.note:
-            console.print(f"{run.folder.name}: {run.note}", highlight=False, soft_wrap=True)
+        for said in filter(None, (run.status["mark"], run.note)):
+            console.print(f"{run.folder.name}: {said}", highlight=False, soft_wrap=True)
     for text in found.warnings:
         console.print(f"Bench health: {text}", style="yellow", highlight=False, soft_wrap=True)
     for name, why in found.others:

@@ -34,9 +34,8 @@ def show_verdict(console: Terminal, found: Reported) -> int:
     """Show what a run found; gives back its exit code, whether or not it can be shown."""
     report, record, judgements, status = found.page, found.record, found.judgements, found.status
     with suppress(*FAILURES):
-        if emulated := record.facts.get("emulated"):
-            said = f"SOME INSTRUMENTS EMULATED: {', '.join(emulated)}."
-            console.print(Text(f"{said} The figures are no measurement.", "bold yellow"))
+        if status.mark:
+            console.print(Text(status.mark, "bold yellow"))
         decided = status.decided and bool(judgements)
         if decided:
             console.print(_bench(record, judgements[0]))

@@ -47,6 +47,7 @@ from bench.record.reader import ALL, HEADS, opened
 from bench.record.schema import Row
 from detector.calibration.values import Calibration
 from detector.geometry import Camera
+from textfiles.text import in_command
 from textfiles.whole import new_folders
 
 NAME, CALIBRATION = "run.mcap", "calibration.toml"
@@ -296,9 +297,8 @@ def _image(at: Timestamp, run: Path, row: sqlite3.Row) -> Message:
     except OSError as error:
         raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
     if hashlib.sha256(data).hexdigest() != row["sha256"]:
-        raise ConfigError.plain(
-            f"{path} is not as it was written: 'teatbench store check {run}' says what else is not"
-        )
+        all_of_it = f"'teatbench store check {in_command(run)}' says what else is not"
+        raise ConfigError.plain(f"{path} is not as it was written: {all_of_it}")
     if picture not in SIXTEEN_BITS:
         return CompressedImage(timestamp=at, frame_id=frame, data=data, format="png")
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None

@@ -30,11 +30,13 @@ from bench.record.schema import (
 )
 from bench.record.state import NO_ENDING, TRIP, holder_of, left_in
 from bench.scoring.scene import SceneScore, scene_from_dict
+from textfiles.text import in_command
 
 HEADS = (
     "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
     " invalidated.trial = trials.id WHERE trials.number BETWEEN ? AND ? ORDER BY trials.number"
 )
+
 ALL = (0, 1 << 62)  # the numbers of trials
 
 
@@ -231,7 +233,7 @@ def understood(folder: Path) -> Iterator[sqlite3.Connection]:
         with opened(folder) as db:
             yield db
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        hint = f"'teatbench store check {folder}' says what is damaged."
+        hint = f"'teatbench store check {in_command(folder)}' says what is damaged."
         why = f"{type(error).__name__}: {error}. {hint}"
         raise ConfigError.plain(f"the record in {folder} can't be read: {why}") from error
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.config import ConfigError
-from bench.files import write_synced
+from bench.files import write_together
 from bench.record.chain import head_of
 from bench.record.reader import opened
 from bench.record.schema import tables_of
@@ -33,20 +33,17 @@ def needed(module: str, what: str) -> Any:
 
 def export_csv(run: Path, out: Path) -> list[Path]:
     """Write ``out/<table>.csv`` for every table; the files. Raises ConfigError, OSError."""
-    written = []
     with opened(run) as db:
-        for name, columns, _, rows in _tables(db):
-            written.append(out / f"{name}.csv")
-            write_synced(written[-1], csv_text([columns, *rows]).encode())
-    return written
+        tables = ((name, csv_text([heads, *rows])) for name, heads, _, rows in _tables(db))
+        return write_together(out, ((f"{name}.csv", text.encode()) for name, text in tables))
 
 
 def export_parquet(run: Path, out: Path) -> list[Path]:
     """Write ``out/<table>.parquet`` for every table; the files. Raises ConfigError, OSError."""
     arrow, parquet = needed("pyarrow", "Parquet"), needed("pyarrow.parquet", "Parquet")
     types = {"TEXT": arrow.string(), "REAL": arrow.float64(), "INTEGER": arrow.int64()}
-    written = []
-    with opened(run) as db:
+
+    def files(db: sqlite3.Connection) -> Iterator[tuple[str, bytes]]:
         about = {"run": run.name, "wall_digest": head_of(db).wall_digest}
         for name, names, kinds, rows in _tables(db):
             fields = list(map(arrow.field, names, map(types.get, kinds)))
@@ -57,9 +54,10 @@ def export_parquet(run: Path, out: Path) -> list[Path]:
             )
             data = io.BytesIO()
             parquet.write_table(table, data)
-            written.append(out / f"{name}.parquet")
-            write_synced(written[-1], data.getvalue())
-    return written
+            yield f"{name}.parquet", data.getvalue()
+
+    with opened(run) as db:
+        return write_together(out, files(db))
 
 
 def _tables(

@@ -31,6 +31,7 @@ from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, Row, make_tabl
 from bench.record.state import NO_ENDING, left_in
 from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
+from textfiles.text import in_command
 from textfiles.whole import new_folders, sync_folder
 
 Tables = Sequence[tuple[str, Sequence[Row]]]
@@ -174,7 +175,7 @@ class Store:
             raise FolderGoneError(
                 f"the run's folder {self.folder} was deleted, moved or replaced: what was recorded"
                 " since the last finished trial may be lost. Put the folder back, then: teatbench"
-                f" resume {self.folder}"
+                f" resume {in_command(self.folder)}"
             )
 
     def finished(self, done: TrialRecord) -> None:

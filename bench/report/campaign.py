@@ -4,7 +4,6 @@ failures lie, and its worst scenes.
 
 from __future__ import annotations
 
-import shlex
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -46,7 +45,7 @@ from reports.page import (
     TrialPart,
 )
 from reports.render import write_report
-from textfiles.text import plural
+from textfiles.text import in_command, plural
 
 REPORT = "report"
 LOOKED_AT = 3  # drawn, and a typical one
@@ -132,7 +131,7 @@ def _banner(folder: Path, plan: CampaignPlan, numbers: Numbers) -> Banner:
     then = "Run it: nothing has been scored."
     if numbers.rates:
         then = (
-            f"'teatbench campaign show {_quoted(folder)} SCENE' draws any scene with truth and"
+            f"'teatbench campaign show {in_command(folder)} SCENE' draws any scene with truth and"
             " answers; tests with hypothesis look for simpler ones (teatbench help testing)."
         )
     return Banner(
@@ -147,10 +146,6 @@ def _banner(folder: Path, plan: CampaignPlan, numbers: Numbers) -> Banner:
         ),
         next_action=then,
     )
-
-
-def _quoted(folder: Path) -> str:
-    return shlex.quote(folder.as_posix())
 
 
 def _scoreboard(numbers: Numbers, plan: CampaignPlan) -> Scoreboard | Paragraph:
@@ -317,7 +312,7 @@ def _worst(numbers: Numbers, folder: Path, drawn: Mapping[str, str]) -> Part:
     for each in numbers.worst.values():
         for family, number, detector, failure, found, visible, false, sure, max_mm in each:
             name = Scene(str(family), int(str(number))).name
-            command = f"teatbench campaign show {_quoted(folder)} {name}"
+            command = f"teatbench campaign show {in_command(folder)} {name}"
             counts = f"{found} of {visible}", false, sure, max_mm
             shown = Cell(name, href=drawn.get(name, ""))
             rows.append((shown, detector, failure, *counts, Cell(command, mono=True)))

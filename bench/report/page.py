@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from bench.config import read_calibration
-from bench.files import sha256_of
+from bench.files import is_unreadable, sha256_of
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import RULES, SCRIPT
@@ -75,7 +75,7 @@ from reports.page import (
     Verdict,
 )
 from reports.render import in_page, write_report
-from textfiles.text import plural
+from textfiles.text import in_command, plural
 from textfiles.whole import is_full
 
 PDF = "report.pdf"
@@ -106,10 +106,11 @@ def write_run_report(
         write_exports(run, status, listed, folder / REPORT)
         return Reported(folder, path, run, judgements, status)
     except OSError as error:
-        if not is_full(error):
+        if is_unreadable(error):
             raise
-        why = f"{error.strerror}. Make room, then: teatbench report {folder}"
-        raise OSError(error.errno, why, str(folder / REPORT)) from error
+        cure = "Make room" if is_full(error) else "Remove the cause"
+        why = f"{error.filename or folder / REPORT}: {error.strerror or error}. The run is kept."
+        raise OSError(f"{why} {cure}, then: teatbench report {in_command(folder)}") from error
 
 
 def build_page(

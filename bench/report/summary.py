@@ -40,8 +40,9 @@ def of_run(found: Reported) -> str:
     """Verdict, requirements by detector, why, and what to do next."""
     record, judgements, status = found.record, found.judgements, found.status
     lines = [f"### {MARKS.get(status.word, '')} {_plain(f'{status.title}: {status.headline}')}", ""]
-    lines += [f"- **{_plain(line)}**" for line in status.unsafe]
-    lines += [""] if status.unsafe else []
+    urgent = [*status.unsafe, *filter(None, [status.mark])]
+    lines += [f"- **{_plain(line)}**" for line in urgent]
+    lines += [""] if urgent else []
     if judgements:
         rows = [
             [row[0].name, limit(row[0]), *(f"{MARKS[one.verdict]} {measured(one)}" for one in row)]

@@ -35,6 +35,7 @@ from detector.protocol import (
 )
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
 from reports.sanitize import sanitized
+from textfiles.text import named
 
 # an end that is farther from the world's origin is kept at so far, so that what is made of it stays
 # a number; it is a false one, as all are that lie outside of the working volume
@@ -276,11 +277,7 @@ def examine(
         raise
     # anyone's code: it may fail in any way, and not every library's errors are Exceptions
     except BaseException as error:
-        try:
-            why = f"{type(error).__name__}: {error}".removesuffix(": ")
-        except Exception:  # its own words fail
-            why = type(error).__name__
-        outcome, detection = Outcome.FAILED, _nothing(why)
+        outcome, detection = Outcome.FAILED, _nothing(named(error))
     start_up_s = served.start_up_s if served else None
     return Answer(
         name_of(detector),

@@ -52,6 +52,7 @@ from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
 from bench.script.model import Rules, Script
 
+ANSWERED = ("x_mm", "y_mm", "z_mm", "covariance_mm2")  # of each end that was found
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
 # other pictures are a detector's own
 CAMERAS = frozenset(Path(name).stem for name in FILES)
@@ -154,7 +155,9 @@ def compare_sides(
         )
     pairs = tuple(
         ScenePair(
-            a.id, a.pose, str(a.head["situation"]), a.scores[old.detector], b.scores[new.detector]
+            *(a.id, a.pose, str(a.head["situation"])),
+            *(a.scores[old.detector], b.scores[new.detector]),
+            same=_answer(a, old.detector) == _answer(b, new.detector),
         )
         for a, b in matched
     )
@@ -180,6 +183,13 @@ def compare_sides(
     poses, verdicts = {"poses": found.pooled.poses}, {"gate": found.gate.verdict.value}
     look = InterimLook(GATE, claim, data, ids, poses, verdicts, [one.key for one in before])
     return Comparison(old, new, pairs, same, only_old, only_new, found, elsewhere, look)
+
+
+def _answer(trial: TrialRecord, detector: str) -> list[list[Any]]:
+    """What a detector answered, as recorded, without how long it took."""
+    tables = ((trial.detections, ("hidden", "outcome")), (trial.found, ANSWERED))
+    own = ((row, keys) for rows, keys in tables for row in rows if row["detector"] == detector)
+    return [[row[key] for key in keys] for row, keys in own]
 
 
 def _item(side: Side) -> Any:

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.files import write_synced
+from bench.files import write_together
 from bench.record.check import NOT_AS_WRITTEN, printed_chain
 from bench.record.looks import id_of
 from bench.record.reader import RunRecord
@@ -31,10 +31,10 @@ COLUMNS = (
 def write_exports(
     run: RunRecord, status: RunStatus, judgements: Sequence[Judgement], folder: Path
 ) -> None:
-    """Write the three files into ``folder``."""
-    write_synced(folder / "trials.csv", _trials_csv(run).encode())
-    write_synced(folder / "run.json", _run_json(run, status, judgements).encode())
-    write_synced(folder / "junit.xml", _junit_xml(run, status, judgements).encode())
+    """Write the three files into ``folder``, or none."""
+    text, junit = _run_json(run, status, judgements), _junit_xml(run, status, judgements)
+    texts = {"trials.csv": _trials_csv(run), "run.json": text, "junit.xml": junit}
+    write_together(folder, ((name, text.encode()) for name, text in texts.items()))
 
 
 def drop_report(folder: Path) -> None:
@@ -159,15 +159,19 @@ def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement
     root.set("time", f"{took_s:.3f}")
     for detector in dict.fromkeys(who for who, *_ in cases):
         suite = ET.SubElement(root, "testsuite", name=detector, id=known_as, timestamp=started)
-        for _, name, kind, message, rule in (one for one in cases if one[0] == detector):
+        if status.mark:
+            marks = ET.SubElement(suite, "properties")
+            ET.SubElement(marks, "property", name="mark", value=status.mark)
+        those = [one for one in cases if one[0] == detector]
+        for _, name, kind, message, rule in those:
             named = {"classname": detector, "name": name, "time": share_s}
             case = ET.SubElement(suite, "testcase", named)
             if kind:
                 ET.SubElement(case, kind, message=message).text = rule or None
         kinds = {"failures": "failure", "skipped": "skipped", "errors": "error"}
         numbers = {name: len(suite.findall(f".//{kind}")) for name, kind in kinds.items()}
-        suite.attrib |= {name: str(n) for name, n in {"tests": len(suite), **numbers}.items()}
-        suite.set("time", f"{float(share_s) * len(suite):.3f}")
+        suite.attrib |= {name: str(n) for name, n in {"tests": len(those), **numbers}.items()}
+        suite.set("time", f"{float(share_s) * len(those):.3f}")
     ET.indent(root)
     text = sanitized(ET.tostring(root, encoding="unicode"))
     return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'

@@ -17,7 +17,7 @@ from bench.rig.by_hand import BY_HAND
 from bench.safety.latch import latch_beside
 from bench.scoring.decisions import Decision, Verdict
 from detector.protocol import Outcome
-from textfiles.text import full_stop, plural
+from textfiles.text import full_stop, in_command, plural
 
 LONGEST_WORDS = 200
 AFTER_FAULT = (
@@ -83,8 +83,8 @@ def stopped_next(run: RunRecord, state: State) -> str:
     if then is AFTER_FAULT:
         then = AFTER_LATCH if latch_beside(rig).exists() else then
         then = AFTER_MISTAKE if reason.startswith(MISTAKE) else then
-    go_on = ANEW if ends else GO_ON.format(run=run.folder)
-    return then.format(rig=rig, run=run.folder, go_on=go_on)
+    go_on = ANEW if ends else GO_ON.format(run=in_command(run.folder))
+    return then.format(rig=in_command(rig), run=in_command(run.folder), go_on=go_on)
 
 
 def cure_of(reason: str, folder: Path) -> str:
@@ -92,7 +92,7 @@ def cure_of(reason: str, folder: Path) -> str:
     if not reason.startswith(UNWRITTEN):
         return ""
     cure = f"Make room in {folder}" if FULL in reason else f"Make {folder} writable"
-    return f"{cure}, then resume: teatbench resume {folder}"
+    return f"{cure}, then resume: teatbench resume {in_command(folder)}"
 
 
 def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:

@@ -30,7 +30,7 @@ from bench.scoring.control_chart import FAR, ControlLimits, Trend, broken, limit
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.truth.arm_check import BEFORE, CHECK_FACT, location_of, shift_mm
 from instruments.camera.quality import edge_blur_px, level_dn
-from textfiles.text import plural
+from textfiles.text import in_command, plural
 
 KEPT = ".health.json"  # in the folder of runs
 VERSION = 1  # of what is measured
@@ -227,5 +227,5 @@ def warnings(folder: Path, rig: str) -> list[str]:
     of_rig = [one for one in history(folder, MOST_NEW, rig) if one.rig == rig]
     said = [chart.warning for chart in charts(of_rig) if chart.warning]
     more = len(said) - MOST_WARNINGS
-    tail = [f"and {more} more: see 'teatbench runs {folder}'"] if more > 0 else []
+    tail = [f"and {more} more: see 'teatbench runs {in_command(folder)}'"] if more > 0 else []
     return [*said[:MOST_WARNINGS], *tail]

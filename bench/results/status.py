@@ -31,7 +31,7 @@ from bench.safety.bath_monitor import NO_GUARDIAN
 from instruments.clock import wall_time as now
 from instruments.operators.mailbox import FOLDER, read_prompt
 from instruments.operators.operator import time_left
-from textfiles.text import plural, time_text
+from textfiles.text import in_command, plural, time_text
 
 VERSION = 1  # of `RunStatus.as_dict`
 LIVE, RUN_JSON = "live.json", "report/run.json"
@@ -139,8 +139,8 @@ class OpenPrompt:
 class RunStatus:
     """A run at ``wall_time``. ``step``: a state of the run (docs/runs.md) or "going to safe", and
     ``state`` once it has ended; ``doing`` says more. ``verdicts``: by detector, ``state`` where
-    there is none. ``why`` and ``next`` are sentences, most urgent first. ``age_s``: how long ago
-    the run said this of itself.
+    there is none. ``why`` and ``next`` are sentences, most urgent first. ``emulated``: which of its
+    instruments, where others are real. ``age_s``: how long ago the run said this of itself.
     """
 
     run: str
@@ -163,8 +163,15 @@ class RunStatus:
     why: str = ""
     next: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
+    emulated: tuple[str, ...] = ()
     wall_time: str = ""
     age_s: float = 0.0
+
+    @property
+    def mark(self) -> str:
+        """What has to stand beside the figures of a rig that is partly emulated; else empty."""
+        said = f"SOME INSTRUMENTS EMULATED: {', '.join(self.emulated)}."
+        return f"{said} The figures are no measurement." if self.emulated else ""
 
     @property
     def under_way(self) -> bool:
@@ -262,7 +269,7 @@ class RunStatus:
             return older
         last = self.doing or self.step
         doing = f"the bench has said nothing for {time_text(age_s)}; last: {last}"
-        then = AFTER_SILENCE.format(run=folder or self.run)
+        then = AFTER_SILENCE.format(run=in_command(folder or self.run))
         return replace(older, doing=doing, left_s=None, next=(*older.unsafe, then))
 
     def as_dict(self) -> dict[str, Any]:
@@ -270,7 +277,8 @@ class RunStatus:
         shown = asdict(self)
         for of, one in zip(shown["instruments"], self.instruments, strict=True):
             of |= {"text": one.text, "trouble": one.trouble}
-        said = {key: getattr(self, key) for key in ("word", "headline", "trials", "waiting")}
+        keys = ("word", "headline", "trials", "waiting", "mark")
+        said = {key: getattr(self, key) for key in keys}
         return {"schema_version": VERSION, **shown, **said, "unsafe": [*self.unsafe]}
 
 
@@ -318,6 +326,7 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
         skipped=len(run.skipped),
         planned=run.facts.get("planned"),
         damage=run.damage,
+        emulated=tuple(run.facts.get("emulated", ())),
         wall_time=str(run.facts.get("wall_ended") or run.facts.get("wall_started", "")),
     )
     if state is State.RUNNING and live:

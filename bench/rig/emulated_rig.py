@@ -20,7 +20,7 @@ from instruments.bath.profile import LineProfile, Profile, RegisterProfile, Rela
 from instruments.bath.reading import BathReading
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
-from instruments.drivers.entry_points import Kind, load, plugin_url
+from instruments.drivers.entry_points import Kind, emulator_of, load, plugin_url
 from instruments.listener import Device, Listener
 from instruments.microscribe.emulator import ArmEmulator, Hand
 from instruments.microscribe.faults import FOREVER
@@ -174,7 +174,7 @@ class EmulatedRig:
                 self.listeners[name] = Listener(one, self._clock, host=self._host, port=port, **how)
 
     def _plugged_emulators(self, rig: Rig) -> dict[str, Device]:
-        """Of other packages, by instrument. Raises LimitError, ValueError."""
+        """Of other packages, by instrument. Raises LimitError."""
         found: dict[str, Device] = {}
         urls = {"arm": rig.arm.url, "bath": rig.bath.url, "cameras": rig.cameras.url}
         urls |= {"stage": rig.stage.url} if rig.stage else {}
@@ -183,12 +183,8 @@ class EmulatedRig:
             if plug is None or not plug.emulated:
                 continue
             kind: Kind = "camera" if name == "cameras" else name  # type: ignore[assignment]
-            made = load(kind, plug, emulator=True).make(self.world, self._clock)
-            if wrong := [
-                one for one in ("connect", "receive", "disconnect") if not hasattr(made, one)
-            ]:
-                raise ValueError(f"the emulator {plug.name} has no {', '.join(wrong)}")
-            found[name] = made
+            make = load(kind, plug, emulator=True).make
+            found[name] = made = emulator_of(make, self.world, self._clock)
             if name == "stage" and hasattr(made, "position_mm"):
                 self.follow_stage(rig, made.position_mm)
         return found

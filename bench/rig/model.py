@@ -769,3 +769,8 @@ class Rig(Section):
     def all_emulated(self) -> bool:
         """Whether no instrument is real: their emulators are of this process, or of another."""
         return self.simulated or self.operator.url.startswith(ELSEWHERE)
+
+    @property
+    def partly_emulated(self) -> tuple[str, ...]:
+        """Names of the emulated instruments, where others are real."""
+        return () if self.all_emulated else self.emulated

@@ -35,6 +35,7 @@ from instruments.clock import VirtualClock, sleep_looking, stopwatch_s, wall_tim
 from instruments.errors import DeviceError, InstrumentError
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 from instruments.stage.driver import TOLERANCE_MM
+from textfiles.text import in_command
 
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
@@ -220,6 +221,7 @@ class RunContext:
             instruments=instruments,
             tripped=tripped,
             last_error=events.error,
+            emulated=self.rig.rig.partly_emulated,
             wall_time=wall_time().isoformat(timespec="milliseconds"),
         )
         return replace(status, next=(*status.unsafe, *self._next(status)))
@@ -239,7 +241,7 @@ class RunContext:
         elif status.asked:
             yield f"Answer what is asked: {status.asked.kind}."
         elif status.paused:
-            yield f"Go on with: teatbench control {self.store.folder} go on"
+            yield f"Go on with: teatbench control {in_command(self.store.folder)} go on"
         elif self.readied:
             yield self.readied
         else:

@@ -46,7 +46,7 @@ from instruments.operators.operator import (
     OperatorRepeat,
     OperatorSkip,
 )
-from textfiles.text import plural
+from textfiles.text import named, plural
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
 TRACEBACK = "mistake.txt"
@@ -325,15 +325,15 @@ class Engine:
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
-            named = f"{type(cause).__name__}: {cause}".removesuffix(": ")
-            self._write_down("fault", f"{MISTAKE}: {named}")
+            said = named(cause)
+            self._write_down("fault", f"{MISTAKE}: {said}")
             if isinstance(cause, MemoryError) or not isinstance(cause, FAILURES):
                 raise cause
             # of the bench, or of a driver that raises in this thread from one of its own
             path = self.context.store.folder / TRACEBACK
             self._kept(path.write_text, "".join(traceback.format_exception(cause)), "utf-8")
-            said = f"A mistake of the bench: {named}. Please report it with {path}."
-            self.context.events.warn(said)
+            warned = f"A mistake of the bench: {said}. Please report it with {path}."
+            self.context.events.warn(warned)
         return RunState.FAULTED
 
     def _finish(self, ending: RunState) -> RunState:

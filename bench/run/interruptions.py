@@ -31,6 +31,7 @@ from instruments.operators.operator import (
     OperatorSkip,
     Release,
 )
+from textfiles.text import in_command
 from textfiles.whole import refusal
 
 INSTRUMENTS = ("arm", "stage", "bath", "cameras")
@@ -253,7 +254,7 @@ class Requests:
         if not self.paused:
             return
         with ctx.states.during(RunState.PAUSED):
-            how = f"teatbench control {ctx.store.folder} go on"
+            how = f"teatbench control {in_command(ctx.store.folder)} go on"
             ctx.events.warn(f"Paused, as asked. Type 'go on' here, or in another terminal: {how}")
             while self.paused:
                 ctx.events.state("paused, as asked")

@@ -37,7 +37,7 @@ def text_of(kind: str, status: RunStatus | None) -> tuple[str, str] | None:
         lines = [*status.unsafe]
     else:
         by_detector = [f"{name}: {verdict}" for name, verdict in status.verdicts.items()]
-        lines += [*by_detector, status.why, *status.next]
+        lines += [status.mark, *by_detector, status.why, *status.next]
     return f"{status.title}: {kind}", "\n".join(line for line in lines if line)
 
 

@@ -84,7 +84,7 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
             "title": title,
             "created": record.facts.get("wall_started"),
             "licenses": [{"name": licence}] if licence else [],
-            "emulated": record.facts.get("kind") == "emulated",
+            "emulated": record.facts.get("kind") in ("emulated", "mixed"),
             "sources": [{"title": record.folder.name, "wall_digest": digest}],
             "resources": [_resource(making, name) for name in _files(making)],
         }

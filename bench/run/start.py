@@ -34,6 +34,7 @@ from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.hand_over import free_bath
 from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
+from bench.rig.model import Rig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import is_emulated
 from bench.run.cameras_so_far import CamerasSoFar
@@ -85,7 +86,7 @@ from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
-from textfiles.text import plural
+from textfiles.text import named, plural
 from textfiles.whole import refusal
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
@@ -181,7 +182,7 @@ def _of_a_queue(
     try:
         return run()
     except Exception as error:
-        events.warn(f"{store.folder}: {type(error).__name__}: {error}")
+        events.warn(f"{store.folder}: {named(error)}")
         return store.folder, RunState.FAULTED
 
 
@@ -245,6 +246,14 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
     return make_detectors(*wanted)
 
 
+def kind_facts(rig: Rig) -> dict[str, Any]:
+    """Whether its instruments are real, and where some are, which of them are emulated."""
+    if rig.partly_emulated:
+        return {"kind": "mixed", EMULATED_FACT: list(rig.partly_emulated)}
+    real = "recorded" if rig.cameras.recorded else "real"
+    return {"kind": "emulated" if rig.all_emulated else real}
+
+
 def _begun(held: OpenRig, script: LoadedScript, out: Path, under_test: Sequence[Detector]) -> Store:
     """A new run folder that says what the run is."""
     rig, how = held.rig, held.how
@@ -254,11 +263,8 @@ def _begun(held: OpenRig, script: LoadedScript, out: Path, under_test: Sequence[
     order = pose_set(trials, script.planned, seed=table.seed, order=table.order)
     today = wall_time().date()
     recorded = rig.rig.cameras.recorded
-    kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
-    kind = "mixed" if rig.rig.emulated and kind != "emulated" else kind
     facts = {
-        "kind": kind,
-        **({EMULATED_FACT: list(rig.rig.emulated)} if kind == "mixed" else {}),
+        **kind_facts(rig.rig),
         "title": table.title,
         "about": table.about,
         "seed": how.seed,
@@ -266,7 +272,7 @@ def _begun(held: OpenRig, script: LoadedScript, out: Path, under_test: Sequence[
         "script": script.name,
         "set_point_c": table.bath.set_point_c,
         "planned": len(script.planned),
-        CALIBRATION_FACT: calibration_fact(rig.calibration, today, emulated=kind == "emulated"),
+        CALIBRATION_FACT: calibration_fact(rig.calibration, today, emulated=rig.rig.all_emulated),
         "pose set": order,
         **({RECORDED: str(how.record.resolve())} if how.record else {}),
         ASKED: {

@@ -285,7 +285,7 @@ RULES = (
         lambda _: None,  # a reading in the hand is no silence: `Interlocks.silent` trips this row
         "a reading",
         lambda _now, _limits: None,
-        "The bath may still heat: look at it. Check its cable and power.",
+        "Look at the bath: it may have heated meanwhile. Check its cable and power.",
     ),
     Rule(
         GUARDIAN,

@@ -22,6 +22,7 @@ from bench.safety.interlocks import InterlockTrip, rule_named
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
 from instruments.errors import DeviceError
+from textfiles.text import in_command, named
 
 ENDING = ".tripped.json"
 STAYS_HOT = ("hold", "unknown")  # kinds of comms_loss
@@ -67,7 +68,7 @@ def set_latch(path: Path, trip: Exception, run: str) -> None:
     content: dict[str, object] = (
         trip.as_dict()
         if isinstance(trip, InterlockTrip)
-        else {"rule": "mistake of the bench", "why": f"{type(trip).__name__}: {trip}"}
+        else {"rule": "mistake of the bench", "why": named(trip)}
     )
     content |= {"wall_time": wall_time().isoformat(timespec="seconds"), "run": run}
     write_synced(path, json.dumps(content, indent=1).encode())
@@ -94,7 +95,7 @@ def refuse_latched(rig: LoadedRig) -> None:
     latch = read_latch(latch_path(rig))
     if latch is not None:
         then = str(latch.content.get("then", ""))
-        hint = f"{then} Then: teatbench bath acknowledge {rig.path}".strip()
+        hint = f"{then} Then: teatbench bath acknowledge {in_command(rig.path)}".strip()
         raise LatchedError("rig", f"not started: {latch}", hint=hint)
 
 

@@ -269,13 +269,16 @@ MARGIN_SHARE = 0.05  # of the error's limit: the margin where none is named
 
 @dataclass(frozen=True, slots=True)
 class ScenePair:
-    """One scene scored for both. Repeats of a pose share `pose`."""
+    """One scene scored for both. Repeats of a pose share `pose`. ``same``: the very same answer, of
+    which a score doesn't tell, where one missed or invented end is as good as another.
+    """
 
     scene: str
     pose: str
     situation: str
     old: SceneScore
     new: SceneScore
+    same: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,7 +361,8 @@ def compare(
     several = situations if len(situations) > 1 else ()
     verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate, again)
     # to the last bit
-    identical = not unpaired and all(
+    identical = not unpaired and all(pair.same for pair in pairs)
+    identical = identical and all(
         (old.counts, old.match.pairs) == (new.counts, new.match.pairs)
         and np.array_equal(old.errors_mm, new.errors_mm)
         for old, new in ((pair.old, pair.new) for pair in pairs)

@@ -27,6 +27,7 @@ from bench.script.phantom import Layout, find_layout, load_layout
 from bench.script.planned_trials import PlannedTrial, PublishedRate, Trial, plan
 from bench.toml import toml_text
 from bench.truth.registration import Registration, load_registration
+from textfiles.text import named
 
 FIRST = "first"
 ENDING, MOST = ".py", 100_000
@@ -388,9 +389,7 @@ def script_text(path: Path) -> str:
     except ConfigError:
         raise
     except (Exception, SystemExit) as error:  # anyone's code: it may fail in any way
-        raise ConfigError.plain(
-            f"{path}{_line_of(path, error)}: {type(error).__name__}: {error}"
-        ) from error
+        raise ConfigError.plain(f"{path}{_line_of(path, error)}: {named(error)}") from error
 
 
 def _tables(path: Path, made: Any) -> Iterator[Mapping[str, Any]]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
+from instruments.bath.sequence import cause_of
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
@@ -91,26 +92,36 @@ class Subject:
 
 
 class Cable:
-    """Hands bytes on to a device, ``late_s`` late."""
+    """Hands bytes on to a device, ``late_s`` late. It breaks where the emulated device raises; the
+    first such ``fault`` in words.
+    """
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self.late_s = 0.0
         self.hosts = 0
+        self.fault = ""
 
     def connect(self, connection: Connection) -> None:
         self.hosts += 1
-        self.device.connect(connection)
+        self._whole(connection, lambda: self.device.connect(connection))
 
     def receive(self, connection: Connection, data: bytes) -> None:
-        if self.late_s:
-            connection.after(self.late_s, lambda: self.device.receive(connection, data))
-        else:
-            self.device.receive(connection, data)
+        def hand_on() -> None:
+            self._whole(connection, lambda: self.device.receive(connection, data))
+
+        connection.after(self.late_s, hand_on) if self.late_s else hand_on()
 
     def disconnect(self, connection: Connection) -> None:
         self.hosts -= 1
-        self.device.disconnect(connection)
+        self._whole(connection, lambda: self.device.disconnect(connection))
+
+    def _whole(self, connection: Connection, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception as error:  # another's code
+            self.fault = self.fault or f"its emulator raises {cause_of(error)}"
+            connection.hang_up()
 
 
 class Wired(Subject):
@@ -329,9 +340,10 @@ def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> 
         except NotCheckedError as reason:
             yield Finding(name, "not checked", str(reason))
         except (AssertionError, InstrumentError) as error:
-            fault = getattr(error, "what", name), getattr(error, "asked", None)
-            first = said.setdefault(re.sub(r"\d+", "", f"{type(error)} {fault}"), name)
-            why = f"{error}" if subject else f"it can't be opened: {error}"
+            own = subject.cable.fault if isinstance(subject, Wired) else ""
+            fault = type(error), getattr(error, "what", name), getattr(error, "asked", None)
+            first = said.setdefault(own or re.sub(r"\d+", "", f"{fault}"), name)
+            why = own or (f"{error}" if subject else f"it can't be opened: {error}")
             yield Finding(name, "failed", why if first == name else f"cause as of: {first}")
         else:
             yield Finding(name, "passed")

@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import cv2
 from pydantic import TypeAdapter, ValidationError
@@ -13,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from bench.api.shots import load_rig
 from bench.campaign.chunk import digest_of_frames
 from bench.config import ConfigError, read_text, toml_of, writing
-from bench.files import write_synced
+from bench.files import write_together
 from bench.record.recording import RecordingError, RecordingWriter
 from bench.results.answers import name_of
 from bench.testing.checking import SceneFailedError
@@ -22,6 +23,7 @@ from bench.toml import toml_text
 from detector.calibration import dump_calibration
 
 SCENE, PICTURE, TEST = "scene.toml", "scene.png", "test_scene.py"
+LONGEST = 100  # characters of a folder's name
 HEADING = (
     "The simplest scene on which a test failed; 'teatbench campaign keep' adds it to a recording."
 )
@@ -43,14 +45,14 @@ def write_found(error: SceneFailedError, folder: Path) -> Path:
     }
     _, png = cv2.imencode(".png", error.picture())
     data = {SCENE: toml_text(table, HEADING).encode(), PICTURE: png.tobytes()}
-    for name, one in {**data, TEST: error.lines().encode()}.items():
-        write_synced(folder / name, one)
+    write_together(folder, {**data, TEST: error.lines().encode()}.items())
     return folder
 
 
 def folder_name(test: str) -> str:
-    """A folder's name for a test's."""
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", test).strip("-.") or "scene"
+    """A folder's name for a test's; a long one is cut, and told apart by its digest."""
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", test).strip("-.") or "scene"
+    return name if len(name) <= LONGEST else f"{name[:LONGEST]}-{crc32(test.encode()):08x}"
 
 
 def read_scene(path: Path) -> tuple[Scene, dict[str, Any]]:

@@ -235,7 +235,8 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
 
     try:
         trials, done = _trials(request.config), [0]
-    except pytest.UsageError as error:
+        _ = trials.detector  # one that can't be had ends the session, not each test
+    except (pytest.UsageError, bench.ConfigError) as error:
         _refuse(request.config, error, 4)
 
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
@@ -263,12 +264,14 @@ def pytest_runtest_makereport(
     own = sys.modules.get("bench.testing.checking")
     if own and call.excinfo and isinstance(error := call.excinfo.value, own.SceneFailedError):
         from bench.testing.found import folder_name, write_found
+        from textfiles.text import in_command
 
         text = f"{error}\n{error.neighbourhood()}\n\n{error.lines()}"
         try:
             folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
             text += f"\nPicture: {folder / 'scene.png'}"
-            text += f"\nKeep it: teatbench campaign keep {folder} --into recordings/kept"
+            keep = f"teatbench campaign keep {in_command(folder)} --into recordings/kept"
+            text += f"\nKeep it: {keep}"
         except OSError as fault:
             text += f"\nNot written: {fault}. Name another folder with --found-scenes."
         report.sections.append(("simplest scene", text))

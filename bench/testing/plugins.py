@@ -36,8 +36,8 @@ from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
-from instruments.listener import Device
 from instruments.world.world import World
+from textfiles.text import named
 
 LATE_S = 1.0
 SET_POINT_C = 30.0
@@ -86,7 +86,7 @@ class Watch:
                 may = LinkError, OSError
             if not isinstance(error, may) and not (interrupted and what != "close"):
                 link = " over a lost link" if lost else ""
-                self.faults.append(f"{what}{link} raises {type(error).__name__}: {error}")
+                self.faults.append(f"{what}{link} raises {named(error)}")
             raise
         finally:
             if virtual:
@@ -313,13 +313,21 @@ class OnEmulator(PluginSubject, Wired):
         at = plugged.with_keys(url=self.listener.url)
         PluginSubject.__init__(self, kind, at, clock, works=True)
 
+    def _own(self, name: str, read: Callable[[Any], object], without: Callable[[], object]) -> Any:
+        """``read`` of what the emulator itself says, where it has such a method."""
+        if not hasattr(self.emulator, name):
+            return without()
+        try:
+            return read(getattr(self.emulator, name)())
+        except Exception as error:  # another's code
+            raise AssertionError(f"the emulator's own {name}(): {plugs.said(error)}") from error
+
     def is_safe(self) -> bool:
-        asked = getattr(self.emulator, "is_safe", None)
-        return bool(asked()) if asked else super().is_safe()
+        return bool(self._own("is_safe", bool, super().is_safe))
 
     def at(self, place: Sequence[float]) -> object:
-        stands = getattr(self.emulator, "position_mm", None)
-        return super().at(stands() if stands else place)
+        at = super().at
+        return self._own("position_mm", at, lambda: at(place))
 
     def change(self) -> object:
         """The water is warmer, or the tip is held elsewhere, in the world that it is made with."""
@@ -334,6 +342,9 @@ class OnEmulator(PluginSubject, Wired):
             self.world.hold(np.array(tip_mm), UP)
             return tip_mm
         return super().change()
+
+    def forgiven(self) -> str:
+        return self.cable.fault or super().forgiven()
 
     def cut(self) -> None:
         super().cut()
@@ -370,17 +381,6 @@ def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[.
     return kinds[0], load(kinds[0], url), emulator
 
 
-def _emulated(emulator: Callable[..., Any], world: Any, clock: Clock) -> Device:
-    """Raises ConfigError for what makes no emulator, such as the driver itself."""
-    try:
-        made: Device = emulator(world, clock)
-        _ = made.connect, made.receive, made.disconnect
-    except Exception as error:
-        why = f"makes no emulator of a world and a clock: {type(error).__name__}: {error}"
-        raise ConfigError.plain(f"`emulator`: {emulator} {why}") from error
-    return made
-
-
 def check_driver(
     driver: str | Callable[..., Any],
     kind: Kind | None = None,
@@ -411,7 +411,16 @@ def check_driver(
             raise ConfigError.plain(str(error)) from error
         if emulator:
             world = stack.enter_context(emulated_world(now, drawn=of == "camera"))
-            made = partial(OnEmulator, of, plugged, now, world=world)
-            yield from conform(lambda: made(_emulated(emulator, world, now)))
+            make = emulator
+
+            def emulated() -> Subject:
+                try:
+                    return OnEmulator(
+                        of, plugged, now, plugs.emulator_of(make, world, now), world=world
+                    )
+                except LimitError as error:
+                    raise ConfigError.plain(f"`emulator`: {error}") from error
+
+            yield from conform(emulated)
         else:
             yield from conform(lambda: PluginSubject(of, plugged, now, works=works))

@@ -13,7 +13,7 @@ from bench.config import ConfigError, did_you_mean, parse_config, read_config, r
 from bench.results.answers import Examiner, name_of, score_answer
 from bench.results.status import Reported
 from bench.results.verdicts import TESTS_FACT
-from bench.run.start import ScoredFrames
+from bench.run.start import ScoredFrames, kind_facts
 from bench.scoring.scene import SceneScore
 from bench.script.model import RECORDING_RULES, Rules
 from bench.toml import toml_text
@@ -52,11 +52,11 @@ class TrialsOfTests:
         if not shot.truth:
             what = "a trial needs the truth of its shot: rig.with_truth(shot, rows)"
             raise ConfigError.plain(what)
-        if given is not None and name_of(given) != (ours := name_of(self._detector)):
+        if given is not None and name_of(given) != (ours := name_of(self.detector)):
             what = f"the test's `detector` is {name_of(given)}, but trials are of {ours}"
             raise ConfigError.plain(f"{what}: have a session with --detector for each")
         run = self._begun()
-        answer = self._examiner.ask(self._detector, shot.frames)
+        answer = self._examiner.ask(self.detector, shot.frames)
         rows = [truth_row("", row) for row in shot.truth]
         run.add(name, name, "test", shot.frames, [answer], shot.truth, rows)
         limits = {"limit_mm": self._limits.visible_within_mm}
@@ -74,7 +74,8 @@ class TrialsOfTests:
         return write_report(run.folder) if run else None
 
     @cached_property
-    def _detector(self) -> Detector:
+    def detector(self) -> Detector:
+        """Opened when it is first asked for. Raises ConfigError."""
         return self._open.enter_context(open_detector(self._name))
 
     def _begun(self) -> ScoredFrames:
@@ -84,9 +85,9 @@ class TrialsOfTests:
         self._limits = parse_config(self._rules, text, Rules)
         self._examiner = Examiner(self._rig.calibration, self._rig.rig.limits.detection_timeout_s)
         by = [ABOUT, *(f"{name}: {', '.join(tests)}." for name, tests in self._required.items())]
-        kind = "emulated" if self._rig.rig.all_emulated else "real"
-        facts = {"kind": kind, "title": "Tests", "about": " ".join(by), "rig": self._rig.rig.name}
-        given = self._rules, text, self._rig.calibration_path, facts, [self._detector]
+        facts = {"title": "Tests", "about": " ".join(by), "rig": self._rig.rig.name}
+        facts |= kind_facts(self._rig.rig)
+        given = self._rules, text, self._rig.calibration_path, facts, [self.detector]
         try:
             self._run = self._open.enter_context(ScoredFrames(self._out, "tests", *given))
         except ConfigError as error:

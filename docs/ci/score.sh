@@ -5,7 +5,7 @@ old=${1:?which commit the change is compared with}
 score() {  # 1 and 4 are verdicts on the detector, which the gate and the JUnit file tell; anything else is a fault
   teatbench score recordings/lab --detector "$1" --out "$2" --summary "$summary" || case $? in 1|4) ;; *) exit 3 ;; esac
 }
-rm -rf before old new
+rm -rf before old new difference summary.md  # of an earlier job in this folder
 git worktree prune
 git worktree add --quiet --detach before "$old"
 score before/detector.toml old

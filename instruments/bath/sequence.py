@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from instruments.bath.profile import PUMP
 from instruments.bath.reading import BathReading
 from instruments.errors import DeviceError, InstrumentError, LimitError
+from textfiles.text import named
 
 if TYPE_CHECKING:
     from instruments.bath.interface import Bath
@@ -30,7 +31,7 @@ def cause_of(error: BaseException) -> str:
     if isinstance(error, InstrumentError | KeyboardInterrupt):
         return str(error) or "interrupted by Ctrl-C, or by a KeyboardInterrupt of its driver"
     at = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"
+    return f"{named(error)} ({Path(at.filename).name}:{at.lineno})"
 
 
 def pump_text(bath: Bath) -> str:

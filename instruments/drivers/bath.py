@@ -6,10 +6,13 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Literal
 
+from pydantic import ValidationError
+
 from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profile
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
 from instruments.clock import Clock
+from instruments.device_file import faults_of
 from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin, short
 from instruments.drivers.plugin import BathDriver, BathState
@@ -49,7 +52,9 @@ def profile_of(plugged: Plugin) -> Profile:
             alarms=(AlarmCode(code=ALARM, cause="other", text="as it says", evidence="CERTAIN"),),
         )
     except Exception as error:  # another's class
-        what = f"its class has to say range_c, step_k, pump and comms_loss: {error}"
+        faults = faults_of(error) if isinstance(error, ValidationError) else [((), error)]
+        why = "; ".join(f"{said}" for _, said in faults)
+        what = f"its class has to say range_c, step_k, pump and comms_loss: {why}"
         raise LimitError("bath", what, hint=f"Correct {plugged}.") from error
 
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
-from instruments.drivers.entry_points import Plugin, by_ctrl_c, short, undisturbed
+from instruments.drivers.entry_points import Plugin, by_ctrl_c, said, short, undisturbed
 from instruments.errors import DriverError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S, BEAT_S = 10.0, 10.0, 2.0, 1.0
@@ -102,7 +102,7 @@ class PluginBoundary(Generic[Made]):
             kind, hint = LinkError if isinstance(error, OSError) else DriverError, self.look
             if what == "open" and isinstance(error, ValueError):  # a key is no number
                 hint = f"Correct the keys of {self.plugged.url}; they are of {self.plugged}."
-            raise kind(self.who, _said(error), asked=what, hint=hint) from error
+            raise kind(self.who, said(error), asked=what, hint=hint) from error
 
     def _late(self, what: str, limit_s: float) -> LinkError:
         hint = f"Look at the device, its power and its cable: {self.plugged} hangs."
@@ -117,7 +117,7 @@ class PluginBoundary(Generic[Made]):
 
     def _name(self, error: InstrumentError) -> None:
         """Of an error that the driver raised itself: which instrument has it, by whose driver."""
-        given = {"who": "", "what": _said(error), **vars(error)}  # its class may have none of them
+        given = {"who": "", "what": said(error), **vars(error)}  # its class may have none of them
         if self.who in (by := str(given["who"])):
             return
         who = self.who if by.lower() in self.who else f"{self.who} ({by})"
@@ -127,7 +127,7 @@ class PluginBoundary(Generic[Made]):
 
     def broken(self, what: str, seen: object) -> ProtocolError:
         """What to raise where it gives what no device can show."""
-        return ProtocolError(self.who, what, seen=_said(seen), hint=f"Correct {self.plugged}.")
+        return ProtocolError(self.who, what, seen=said(seen), hint=f"Correct {self.plugged}.")
 
     def texts(self, given: object) -> dict[str, str]:
         """Its identity as text. Raises ProtocolError."""
@@ -158,10 +158,3 @@ class Plugged:
     def close(self) -> None:
         """Close it as it is, without stopping it; once more is no error."""
         self._border.forget()
-
-
-def _said(what: object) -> str:
-    """Its kind and words; its kind alone where its own words fail."""
-    with suppress(Exception):
-        return short(f"{type(what).__name__}: {what}".removesuffix(": "))
-    return type(what).__name__

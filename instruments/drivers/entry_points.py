@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -24,7 +24,9 @@ from urllib.parse import parse_qsl, urlencode
 
 import numpy as np
 
+from instruments.clock import Clock
 from instruments.errors import LimitError
+from textfiles.text import named
 
 PLUGIN, EMULATOR = "plugin:", "emulator:"
 SAID = 200  # characters of another's words
@@ -128,13 +130,31 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
     except BaseException as error:  # another's code
         if by_ctrl_c(error):
             raise
-        said = short(f"{type(error).__name__}: {error}").rstrip(":")
         hint = "Install what it needs, or correct it."
-        raise LimitError(kind, f"{_source(plug)} can't be loaded: {said}", hint=hint) from error
+        raise LimitError(
+            kind, f"{_source(plug)} can't be loaded: {said(error)}", hint=hint
+        ) from error
     if not callable(maker):
-        what = f"{_source(plug)} gives a {type(maker).__name__}, no class"
+        what = f"{_source(plug)} gives {type(maker).__name__}, no class"
         raise LimitError(kind, what, hint="Correct its entry point.")
     return Plugin(url.name, _source(plug), maker, url.keys)
+
+
+def emulator_of(make: Callable[..., Any], world: object, clock: Clock) -> Any:
+    """The device that ``make`` gives. Raises LimitError for none, such as the driver itself."""
+    try:
+        with undisturbed():
+            made = make(world, clock)
+        _ = made.connect, made.receive, made.disconnect
+    except LimitError:  # a key of its url
+        raise
+    except BaseException as error:  # another's code
+        if by_ctrl_c(error):
+            raise
+        who = f"{getattr(make, '__self__', make)}"  # a plug-in says whose it is
+        what = f"makes no emulator of a world and a clock: {said(error)}"
+        raise LimitError(who, what, hint="Correct it.") from error
+    return made
 
 
 def _source(plug: EntryPoint) -> str:
@@ -146,6 +166,11 @@ def short(said: str) -> str:
     """Another's words on one line, as far as they have room in a message, and can be printed."""
     said = "".join(filter(str.isprintable, " ".join(said.split())))
     return said if len(said) <= SAID else f"{said[: SAID - 3]}..."
+
+
+def said(what: object) -> str:
+    """An error, or what was given, in a message."""
+    return short(named(what))
 
 
 def by_ctrl_c(error: BaseException) -> bool:

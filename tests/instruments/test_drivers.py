@@ -4,6 +4,7 @@ InstrumentError.
 
 from __future__ import annotations
 
+import re
 import sys
 import threading
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 import bench
+from bench.cli.main import main
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.urls import bath_url
@@ -25,7 +27,14 @@ from detector.calibration import load_part
 from instruments.clock import RealClock, VirtualClock
 from instruments.drivers import border
 from instruments.drivers.bath import PluggedBath
-from instruments.drivers.entry_points import Kind, PluginUrl, load, plugin_url
+from instruments.drivers.entry_points import (
+    Kind,
+    Plugin,
+    PluginUrl,
+    emulator_of,
+    load,
+    plugin_url,
+)
 from instruments.errors import InstrumentError, LimitError, LinkError
 from instruments.listener import Listener
 from instruments.world.world import World
@@ -75,6 +84,53 @@ def test_wrong_keys_and_what_is_no_emulator_are_said() -> None:
             load("bath", PluginUrl("tank", keys)).make(VirtualClock())
     with pytest.raises(bench.ConfigError, match=r"^`emulator`: .*makes no emulator"):
         list(check_driver(dict, "bath", emulator=str, clock=VirtualClock()))
+
+
+class WordlessError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("its words")
+
+
+def broken(*_: object) -> Any:
+    raise WordlessError
+
+
+@pytest.mark.parametrize(
+    ("method", "says"),
+    {
+        "connect": r"^its emulator raises WordlessError \(test_drivers\.py:\d+\)$",
+        "receive": r"^its emulator raises WordlessError \(test_drivers\.py:\d+\)$",
+        "disconnect": r"^its emulator raises WordlessError \(test_drivers\.py:\d+\)$",
+        "is_safe": r"^the emulator's own is_safe\(\): WordlessError$",
+    }.items(),
+)
+@pytest.mark.parametrize("virtual", [True, False])
+def test_an_emulator_that_raises_is_the_one_that_is_named(
+    method: str, says: str, virtual: bool
+) -> None:
+    tank, of_package = (
+        load("bath", PluginUrl("tank"), emulator=one).maker for one in (False, True)
+    )
+    emulator = type("Broken", (of_package,), {method: broken})
+    clock = VirtualClock() if virtual else None
+    found = list(check_driver(tank, "bath", emulator=emulator, clock=clock))
+    first, *later = [one.why for one in found if one.outcome == "failed"]
+    assert re.search(says, first)
+    assert all("cause as of" in why or re.search(says, why) for why in later)
+
+
+def test_what_makes_no_emulator_is_named_in_a_rig_too(world: tuple[World, VirtualClock]) -> None:
+    for make, says in ((broken, "WordlessError"), (lambda *_: None, "AttributeError: ")):
+        with pytest.raises(LimitError, match=f"makes no emulator of a world and a clock: {says}"):
+            emulator_of(Plugin("tank", "lab 1.0 (lab:make)", make).make, *world)
+
+
+def test_a_command_that_ends_by_an_error_without_words_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("instruments.drivers.entry_points.emulator_of", broken)
+    assert main(["plugin", "check", "tank"]) == 3
+    assert "WordlessError" in capsys.readouterr().err
 
 
 def test_a_device_that_nothing_can_be_done_to_is_not_checked() -> None:

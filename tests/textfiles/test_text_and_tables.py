@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import codecs
 import json
+import os
+import subprocess
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +26,7 @@ from tests.examples import examples
 from tests.mutants import mutants
 from textfiles.documents import DocumentError, read_json, read_toml
 from textfiles.tables import TableError, number, read_table
-from textfiles.text import TextError, decoded
+from textfiles.text import TextError, decoded, in_command
 
 CASES = ROOT / "tests" / "data" / "cases"
 SAVED_AS = {
@@ -196,3 +198,25 @@ def test_mutants_of_files_are_read_or_named(name: str, tmp_path: Path) -> None:
     said = of_mutants(name, examples(25), tmp_path)
     assert said
     assert all(f"mutant-{name}" in each for each in said)
+
+
+@pytest.mark.parametrize(
+    ("path", "word"),
+    [
+        ("runs/20260101-x", "runs/20260101-x"),
+        ("my runs/x", '"my runs/x"'),
+        ("Läufe/x", "Läufe/x"),
+        ("a & b", '"a & b"'),
+        ("it's", '"it\'s"'),
+        ("(1)", '"(1)"'),
+    ],
+)
+def test_a_path_is_one_word_of_a_command(path: str, word: str) -> None:
+    assert in_command(path) == word
+
+
+@pytest.mark.skipif(os.name == "nt", reason="of a POSIX shell")
+@pytest.mark.parametrize("path", ["a b", "a$HOME", 'a"b', "a`b`", "a\\b", "!a", "it's $5", "", "*"])
+def test_a_shell_reads_the_word_as_the_path(path: str) -> None:
+    printed = subprocess.run(["sh", "-c", f"printf %s {in_command(path)}"], capture_output=True)
+    assert printed.stdout.decode() == path

@@ -164,6 +164,16 @@ def test_a_camera_that_stays_away_leaves_what_was_taken_and_says_where(tmp_path:
     assert (tmp_path / "left" / "01.png").is_file()
 
 
+def test_a_disk_that_is_full_at_the_second_view_leaves_the_first_and_says_where(
+    tmp_path: Path,
+) -> None:
+    room = Room()
+    (tmp_path / "left" / "02.png").mkdir(parents=True)  # what the system refuses to write over
+    with pytest.raises(OSError, match=r"02\.png"):
+        room.gather(tmp_path, ViewsRequest(("left",), (), most=3))
+    assert room.note[-1] == f"Taken so far: 1 view, in {tmp_path}, to be given with further ones."
+
+
 @pytest.mark.slow
 def test_a_camera_that_delivers_nothing_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the rig has no thermal camera: left delivered pictures"):

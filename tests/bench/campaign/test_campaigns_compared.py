@@ -30,6 +30,7 @@ def written(
     *,
     off_mm: float = 0.2,
     frames: str = "00" * 8,
+    false: int = 0,
     aside: int = 0,
     plan: dict[str, Any] | None = None,
     members: range = range(SCENES),
@@ -44,7 +45,7 @@ def written(
         for member in members:
             key = (family, member, "d")
             fails = family == "overlapping" and member < lost
-            row = SceneRow(*key, 2, 0, 2 - fails, fails, 0, 0, off_mm, off_mm, "", frames)
+            row = SceneRow(*key, 2, 0, 2 - fails, fails, false, 0, off_mm, off_mm, "", frames)
             row = replace(row, failure="missed") if fails else row
             rows.append(replace(row, failure=ASIDE) if member >= SCENES - aside else row)
             teats.append(TeatRow(*key, 1, "found", 0.0, off_mm, 0.0))
@@ -88,6 +89,14 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     far = written(tmp_path / "far", off_mm=0.9)
     grown = said(0, "campaign compare {} {}", old, far).out
     assert "the mean distance to the teat end grew by 0.35 mm" in grown
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("false", [0, 1])
+def test_answers_are_identical_where_no_end_is_false(tmp_path: Path, false: int) -> None:
+    """A campaign keeps no place of a false end: it may have been elsewhere."""
+    (found,) = compare_campaigns([written(tmp_path / name, false=false) for name in ("old", "new")])
+    assert found.compared.identical is not bool(false)
 
 
 @pytest.mark.weekly

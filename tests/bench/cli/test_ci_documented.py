@@ -118,6 +118,8 @@ def test_the_script_tells_a_worse_detector_from_one_with_the_same_answers(tmp_pa
     (old,) = (tmp_path / "old").iterdir()
     assert teatbench("compare {} {} --gate", old, shutil.copytree(old, tmp_path / "equal")) == 0
     assert sh("bash score.sh no-such-branch", tmp_path).returncode not in (0, 1, 4)
+    left = ("old", "new", "difference", "summary.md")  # what the job before wrote is no result
+    assert not [name for name in left if (tmp_path / name).exists()]
 
 
 def test_all_services_run_that_script_in_the_image_of_the_locked_versions() -> None:

@@ -6,9 +6,10 @@ import itertools
 import json
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ from bench.scoring.decisions import Verdict
 from detector import registry
 from detector.calibration import Calibration
 from detector.external.serve import Pictures
-from detector.protocol import Detection, Detector, Frames
+from detector.protocol import Detection, Detector, Frames, Teat
 from tests.bench.commands import Said, teatbench
 from tests.bench.small_run import written_anew
 from tests.plain_text import plain_text
@@ -116,6 +117,32 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
     assert (
         "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each, one-sided)" in text
     )
+
+
+class Elsewhere:
+    """A detector whose one end is nowhere near a teat, ``x_mm`` beside."""
+
+    name, version = "elsewhere", "1"
+    parameters: Mapping[str, object] = MappingProxyType({})
+
+    def __init__(self, x_mm: float) -> None:
+        self.x_mm = x_mm
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        return Detection((Teat(np.array([self.x_mm, 60.0, 400.0])),))
+
+
+def test_other_answers_of_the_same_score_are_no_identical_answers(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
+) -> None:
+    runs = []
+    for name, x_mm in (("old", 0.0), ("new", 30.0), ("same", 30.0)):
+        with monkeypatch.context() as patch:
+            patch.setattr(registry, "create", lambda _, x_mm=x_mm: Elsewhere(x_mm))
+            runs.append(score(recording, tmp_path / name, "fused"))
+    old, new, same = runs
+    assert "identical answers" not in said(4, "compare {} {} --gate", old, new).out
+    assert "identical answers in all 3" in said(0, "compare {} {} --gate", new, same).out
 
 
 @pytest.mark.weekly

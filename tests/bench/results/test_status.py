@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from junitparser import JUnitXml
 
 from bench.console.watching import listed
 from bench.record.schema import GUARDIAN
@@ -118,12 +119,12 @@ def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Sai
 def test_what_to_do_next_can_be_done(tmp_path: Path, said: Said) -> None:
     """On the run's own rig; neither a scored recording nor cameras that play one go on."""
     run = stopped(State.FAULTED, tmp_path)
-    store, rig = Store(run), tmp_path / "my-rig.toml"
+    store, rig = Store(run), tmp_path / "my rig.toml"
     store.fact("asked", {"rig": str(rig)})
-    assert f"'teatbench check {rig}'" in read_status(run).then[-1]
+    assert f"'teatbench check \"{rig}\"'" in read_status(run).then[-1]
     store.fact("asked", {"rig": str(rig), "recorded": True})
     then = read_status(run).then[-1]
-    assert f"'teatbench check {rig}'" in then
+    assert f"'teatbench check \"{rig}\"'" in then
     assert then.endswith("then give its command again, as it can't be resumed.")
     store.fact("asked", None)  # nobody asked for a script on a rig
     assert read_status(run).then[-1] == BEGIN_ANEW
@@ -300,3 +301,30 @@ def test_only_the_last_session_s_trip_counts(tmp_path: Path) -> None:
 def test_an_ending_counts_though_the_bench_still_packs_and_an_unknown_one_has_a_word() -> None:
     assert state_of("finished", tripped=False, held=True) is State.FINISHED
     assert state_of("exploded", tripped=False, held=False) is State.INTERRUPTED
+
+
+@pytest.mark.slow
+def test_a_partly_emulated_rig_is_marked_on_every_surface(tmp_path: Path, said: Said) -> None:
+    run = Path(shutil.copytree(KEPT, tmp_path / "runs" / "a-run"))
+    store = Store(run)
+    store.fact("kind", "mixed")
+    store.fact("emulated", ["arm", "cameras"])
+    store.fact("ending", "finished")
+    store.close()
+    mark = "SOME INSTRUMENTS EMULATED: arm, cameras. The figures are no measurement."
+    summary = tmp_path / "summary.md"
+    texts = {
+        "terminal": said(0, "report {} --no-pdf --summary {}", run, summary).out,
+        "list": said(0, "runs {}", run.parent).out,
+        "Markdown": summary.read_text(encoding="utf-8"),
+        "JUnit": (run / "report" / "junit.xml").read_text(encoding="utf-8"),
+        "JSON": (run / "report" / "run.json").read_text(encoding="utf-8"),
+        "phone": "\n".join(text_of(ENDED, read_status(run)) or ()),
+    }
+    assert [name for name, text in texts.items() if mark not in " ".join(text.split())] == []
+    (suite,) = JUnitXml.fromfile(str(run / "report" / "junit.xml"))
+    properties: list[Any] = [*suite.properties()]  # type: ignore[no-untyped-call]
+    assert [one.value for one in properties] == [mark]
+    assert suite.tests == len([*suite])
+    page = (run / "report" / "index.html").read_text(encoding="utf-8")
+    assert "SOME INSTRUMENTS EMULATED" in page

@@ -24,6 +24,8 @@ import bench.testing.trials
 from bench.results.verdicts import judge, stored_rules
 from bench.rig.loading import load_rig
 from bench.run.lock import lock_path, locked
+from bench.testing import Scene, Teat
+from bench.testing.found import folder_name
 from bench.testing.trials import TrialsOfTests
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.small_recording import write_recording
@@ -294,6 +296,7 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
     for fixture, option, value, says in (
         ("rig", "--rig", "nowhere", "no rig"),
         ("detector", "--detector", "fusd", "no detector"),
+        ("record_trial", "--detector", "fusd", "no detector"),
         ("record_trial", "--trial-rules", "gone.toml", "gone.toml can't be read"),
     ):
         result = run(pytester, plain.format(fixture), option, value)
@@ -304,6 +307,30 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
     result = run(pytester, marked)
     result.assert_outcomes(errors=1)
     result.stdout.fnmatch_lines(takes)
+
+
+@pytest.mark.slow
+def test_trials_on_a_partly_emulated_rig_are_marked_so(tmp_path: Path) -> None:
+    path = Path(write_small_rig(tmp_path))
+    text = path.read_text(encoding="utf-8")
+    arm = '[arm]\nurl = "emulator:"'
+    assert arm in text
+    real = '[arm]\nurl = "socket://127.0.0.1:9"'
+    path.write_text(text.replace(arm, real), encoding="utf-8")
+    trials = TrialsOfTests(str(path), "thesis", tmp_path / "runs", None, {})
+    trials.add(folder_name("ü" + "x" * 300), Scene((Teat(),)).draw(str(path)))
+    found = trials.end("", {})
+    assert found is not None
+    facts = found.record.facts
+    assert facts["kind"] == "mixed"
+    assert "cameras" in facts["emulated"]
+    assert "arm" not in facts["emulated"]
+
+
+def test_names_of_tests_become_folders_that_any_system_takes() -> None:
+    long = [folder_name(f"test_it[{'x' * 300}{end}]") for end in ("a", "b")]
+    assert len({*long}) == 2
+    assert max(map(len, long)) < 120
 
 
 def test_trials_that_cannot_be_kept_are_said_by_the_option(tmp_path: Path, rig: str) -> None:
