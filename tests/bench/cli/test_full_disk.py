@@ -5,12 +5,12 @@ leaves nothing by halves.
 from __future__ import annotations
 
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
 
 CALIBRATION = KEPT / "calibration.toml"
@@ -31,24 +31,23 @@ COMMANDS = {
 }
 
 
-def full() -> None:
-    """No file may grow in this process: the system refuses each write as on a full disk."""
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of a process's files")
 @pytest.mark.parametrize("what", COMMANDS)
-def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(what: str, tmp_path: Path) -> None:
+def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
+    what: str, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resource = pytest.importorskip("resource", reason="Windows limits no file's size")
     (there := tmp_path / "there").mkdir()
     places = {"run": KEPT, "recording": KEPT, "calibration": CALIBRATION, "there": there}
     words = shlex.split(COMMANDS[what].format(**places))
-    command = [sys.executable, "-m", "bench.cli", *words]
-    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=full, check=False)
-    assert done.returncode == 3, done
-    assert "written:" not in done.stdout
-    assert "Make room." in done.stderr, done.stderr
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))  # no file may grow
+    try:
+        done = said(3, "{}", words)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "written:" not in done.out
+    assert "Make room." in done.err
     left = [one for one in there.rglob("*") if one.is_dir() or one.stat().st_size]
     assert not left
