@@ -30,6 +30,8 @@ STAGE = """
 url = "{stage}"
 feed_mm_per_min = {feed}
 """
+# by default a stage's homing takes half a minute
+QUICK_HOMING = "stage = { settings = { 24 = 1200, 25 = 12000, 26 = 10 } }\n"
 PLAYED = """
 [cameras]
 url = "recording:recording"
@@ -144,9 +146,8 @@ def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> L
     text = text.replace(
         before, f'profile = "{profile}"\n{RELAY.format("emulator:") if pump else ""}'
     )
-    (folder / "twin.toml").write_text(
-        f"{text}\n[emulation]\nbath_start_c = {start_c}\n", encoding="utf-8"
-    )
+    emulation = f"[emulation]\nbath_start_c = {start_c}\n{QUICK_HOMING}"
+    (folder / "twin.toml").write_text(f"{text}\n{emulation}", encoding="utf-8")
     return load_rig(folder / "twin.toml")
 
 
