@@ -11,18 +11,15 @@ from functools import partial
 from importlib import import_module
 from itertools import count
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import pytest
 
-from bench.rig.loading import find_rig, load_rig
 from bench.testing.plugins import check_driver
 from instruments import BathState, StageState
 from instruments.clock import VirtualClock
 from instruments.drivers.entry_points import Kind
-from tests.bench.small_cameras import write_calibration
-from tests.lab_drivers import importable
+from tests.lab_drivers import importable, world_of_few_pixels
 
 pytestmark = pytest.mark.slow
 Driver = Any
@@ -218,10 +215,8 @@ BROKEN: list[tuple[str, tuple[str, ...], Make, str]] = [
 
 @pytest.fixture(scope="module", autouse=True)
 def _packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """In a world whose cameras have few pixels: what takes most of a check of theirs is drawing."""
     folder = tmp_path_factory.mktemp("packages")
-    rig = replace(load_rig(find_rig(None)), calibration_path=write_calibration(folder))
-    with importable(folder / "site"), patch("bench.rig.opening.load_rig", lambda _: rig):
+    with importable(folder / "site"), world_of_few_pixels(folder):
         yield
 
 
