@@ -4,6 +4,7 @@ leaves nothing by halves.
 
 from __future__ import annotations
 
+import re
 import shlex
 import subprocess
 import sys
@@ -28,7 +29,7 @@ COMMANDS = {
     "for Bouguet": "calibrate export {calibration} --format bouguet --out {there}/of.mat",
     "for ROS": "calibrate export {calibration} --format ros --camera left --out {there}/of.yaml",
     "a board": "calibrate board chessboard-9x6-40 --pdf {there}/board.pdf",
-    "a detector": "detectors new python --name mine --out {there}/detectors",
+    "a detector": "detectors new python --name mine --out {there}/a/detectors",
     "a rig": "init --yes --port socket://127.0.0.1:1 --out {there}/rig.toml",
 }
 
@@ -36,19 +37,22 @@ COMMANDS = {
 ALONE = "a run"  # in a process of its own, which loads on a full disk what it needs
 
 
+CASES = [*((what, 0) for what in COMMANDS), ("a picture", 512), ("a detector", 512)]
+
+
 @pytest.fixture
-def full(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """No file may grow: the system refuses each write as on a full disk."""
+def full(most: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The system refuses each write as on a full disk, once a file has ``most`` bytes."""
     resource = pytest.importorskip("resource", reason="Windows limits no file's size")
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
     yield
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", COMMANDS)
+@pytest.mark.parametrize(("what", "most"), CASES)
 def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     what: str, tmp_path: Path, said: Said, full: None
 ) -> None:
@@ -63,6 +67,6 @@ def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     else:
         out, err = said(3, "{}", words)
     assert "written:" not in out
-    assert "Make room." in err, err
+    assert re.search(rf"{re.escape(str(there))}\S*: .*File too large\. Make room\.", err), err
     left = [one for one in there.rglob("*") if one.is_dir() or one.stat().st_size]
     assert not left
