@@ -9,10 +9,14 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
+from bench.rig.loading import find_rig, load_rig
+from tests.bench.small_cameras import write_calibration
 from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "drivers.md"
@@ -137,3 +141,13 @@ def importable(folder: Path) -> Iterator[Path]:
         finally:
             for name in ("lab_drivers", "kettle"):
                 sys.modules.pop(name, None)
+
+
+@contextmanager
+def world_of_few_pixels(folder: Path) -> Iterator[None]:
+    """Drivers are checked in a world whose cameras have few pixels: most of a check of a camera is
+    drawing.
+    """
+    rig = replace(load_rig(find_rig(None)), calibration_path=write_calibration(folder))
+    with patch("bench.rig.opening.load_rig", lambda _: rig):
+        yield

@@ -30,6 +30,7 @@ STAGE = """
 url = "{stage}"
 feed_mm_per_min = {feed}
 """
+QUICK_HOMING = "stage = { settings = { 24 = 1200, 25 = 12000, 26 = 10 } }\n"
 PLAYED = """
 [cameras]
 url = "recording:recording"
@@ -92,6 +93,7 @@ def real_rig(
     window_s: float = 2.0,
     settle_s: float = 0.1,
     stage: bool = False,
+    quick: bool = True,
     repeats: int = 1,
     start_c: float = 33.0,
     limits: str = "",
@@ -103,7 +105,8 @@ def real_rig(
     """Emulators in real time, and the files that make them a real rig; the bath starts at the
     script's set point.
 
-    With a stage, each trial is a move of some seconds; with ``check_touches`` the arm is checked
+    With a stage, each trial is a move of some seconds, and its homing takes as long, or where it
+    isn't ``quick`` half a minute; with ``check_touches`` the arm is checked
     before and after the trials, with ``pump`` a relay of its own turns the bath's. With ``pty``
     whatever has a serial port is on a pseudo-terminal.
     """
@@ -112,7 +115,9 @@ def real_rig(
     (folder / "recording").symlink_to(recording, target_is_directory=True)
     with (
         closing(RealClock()) as clock,
-        EmulatedRig(at_set_point(folder, start_c, profile, pump=pump), clock, 3, pty=pty) as twin,
+        EmulatedRig(
+            at_set_point(folder, start_c, profile, pump=pump, quick=quick), clock, 3, pty=pty
+        ) as twin,
     ):
         rig, script = folder / "lab.toml", folder / "short.toml"
         parts = {
@@ -138,15 +143,16 @@ def script_of(window_s: float = 2.0, repeats: int = 1) -> str:
     )
 
 
-def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> LoadedRig:
+def at_set_point(
+    folder: Path, start_c: float, profile: str, *, pump: bool, quick: bool = True
+) -> LoadedRig:
     text, before = find_rig(None).read_text(encoding="utf-8"), 'profile = "julabo-presto"'
     assert before in text
     text = text.replace(
         before, f'profile = "{profile}"\n{RELAY.format("emulator:") if pump else ""}'
     )
-    (folder / "twin.toml").write_text(
-        f"{text}\n[emulation]\nbath_start_c = {start_c}\n", encoding="utf-8"
-    )
+    emulation = f"[emulation]\nbath_start_c = {start_c}\n{QUICK_HOMING * quick}"
+    (folder / "twin.toml").write_text(f"{text}\n{emulation}", encoding="utf-8")
     return load_rig(folder / "twin.toml")
 
 

@@ -40,7 +40,7 @@ from instruments.listener import Listener
 from instruments.world.world import World
 from tests.bench.commands import Said
 from tests.bench.small_cameras import write_calibration
-from tests.lab_drivers import _install, importable
+from tests.lab_drivers import _install, importable, world_of_few_pixels
 
 pytestmark = pytest.mark.slow
 KINDS: dict[str, Kind] = {"tank": "bath", "slide": "stage", "probe": "arm", "eyes": "camera"}
@@ -48,7 +48,8 @@ KINDS: dict[str, Kind] = {"tank": "bath", "slide": "stage", "probe": "arm", "eye
 
 @pytest.fixture(scope="module", autouse=True)
 def _packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with importable(tmp_path_factory.mktemp("packages") / "site"):
+    folder = tmp_path_factory.mktemp("packages")
+    with importable(folder / "site"), world_of_few_pixels(folder):
         yield
 
 

@@ -127,23 +127,6 @@ def test_a_limit_of_memory_ends_with_a_sentence(
     assert "out of memory: give the machine" in said(3, "runs").err
 
 
-def test_a_full_disk_leaves_no_half_of_a_file_and_no_empty_folder(
-    said: Said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    resource = pytest.importorskip("resource", reason="Windows limits no file's size")
-    file, before = tmp_path / "scene.png", resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (512, before[1]))  # as a quota
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # else half a module stays in its cache
-    try:
-        text = said(3, "scene sheet --situation ideal --out {}", file).err
-        new = said(3, "detectors new python --out {}", tmp_path / "a" / "b").err
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert text.endswith(f"{file}: can't be written: File too large. Make room.\n")
-    assert "b/my_detector.py: File too large" in new
-    assert not [*tmp_path.iterdir()]
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows limits no process's addresses")
 def test_under_a_limit_in_which_no_library_loads_nothing_is_begun(
     said: Said, monkeypatch: pytest.MonkeyPatch

@@ -23,7 +23,9 @@ from tests.waiting import PATIENCE_S, within
 pytestmark = pytest.mark.slow
 
 MOTORS = ((1, 1, 250.0), (2, 1, 250.0))
-FAST = {24: 3000.0, 25: 6000.0, 110: 12000.0, 111: 12000.0}
+# 60 mm, quickly
+FAST = {24: 6000.0, 25: 12_000.0} | dict.fromkeys((110, 111, 112), 12_000.0)
+FAST |= dict.fromkeys((120, 121, 122), 2000.0) | dict.fromkeys((130, 131, 132), 60.0)
 
 
 def stopped(target: StageTarget, clock: RealClock) -> dict[str, object]:

@@ -19,7 +19,7 @@ from bench.script.phantom import shipped_phantom
 from detector.calibration import load_part
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
 from tests.bench.forked import begin
-from tests.bench.real_rig import real_rig, record_one, script_of
+from tests.bench.real_rig import QUICK_HOMING, real_rig, record_one, script_of
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
@@ -53,7 +53,8 @@ def test_a_rig_without_a_calibration_is_checked_and_not_run(
 def written_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """What `emulate --write-rig` of another process wrote, in a folder of its own."""
     folder = tmp_path_factory.mktemp("elsewhere")
-    small = write_rig(folder, "[emulation]", "bath_start_c = 33.0", "hand_error_mm = 0.01")
+    emulation = ("[emulation]", "bath_start_c = 33.0", "hand_error_mm = 0.01", QUICK_HOMING)
+    small = write_rig(folder, *emulation)
     (folder / "lab").mkdir()
     path = folder / "lab" / "written.toml"
     with begin(["emulate", str(small), "--write-rig", str(path)]) as child:

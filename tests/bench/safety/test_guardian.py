@@ -84,8 +84,8 @@ def test_a_bench_that_is_stopped_is_taken_for_dead_within_seconds(
 def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_ten_seconds(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], measured: Measured
 ) -> None:
-    """In a move, which may take ten minutes: what counts is the silence."""
-    with real_rig(tmp_path / "rig", recording, stage=True) as rig:
+    """In a move, which may take ten minutes, as the homing before it: what counts is the silence."""
+    with real_rig(tmp_path / "rig", recording, stage=True, quick=False) as rig:
         with marked_bench(rig, "hanging") as running:
             running.wait_for("on its peg")
             running.enter()

@@ -79,15 +79,6 @@ def test_rms_squared_is_bias_squared_and_sd_squared(values: Floats) -> None:
 
 
 @pytest.mark.slow
-@given(ERRORS, st.integers(0, 2**32 - 1))
-def test_order_does_not_matter(values: Floats, seed: int) -> None:
-    shuffled = summarise(values[np.random.default_rng(seed).permutation(len(values))])
-    s = summarise(values)
-    assert shuffled.radial.p95_mm == s.radial.p95_mm
-    assert shuffled.x.bias_mm == pytest.approx(s.x.bias_mm, abs=1e-9)
-
-
-@pytest.mark.slow
 @given(ERRORS)
 def test_camera_axes_keep_distances_and_turn_biases(values: Floats) -> None:
     # camera x is world y, camera z is world x

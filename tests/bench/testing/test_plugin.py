@@ -28,6 +28,7 @@ from bench.testing import Scene, Teat
 from bench.testing.found import folder_name
 from bench.testing.trials import TrialsOfTests
 from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.real_rig import QUICK_HOMING
 from tests.bench.small_recording import write_recording
 from tests.undrawn import bare
 
@@ -127,7 +128,8 @@ def test_a_real_rig_is_opened_and_homed_once_and_alone(pytester: pytest.Pytester
     text = path.read_text(encoding="utf-8")
     old = '[cameras]\nurl = "emulator:"'
     assert old in text
-    path.write_text(text.replace(old, '[cameras]\nurl = "recording:played"'), encoding="utf-8")
+    text = text.replace(old, '[cameras]\nurl = "recording:played"')
+    path.write_text(f"{text}\n[emulation]\n{QUICK_HOMING}", encoding="utf-8")
     program = """
         import pytest
         kept = []

@@ -34,16 +34,6 @@ def asked(answers: str) -> tuple[Console, io.StringIO]:
     return person(answers, out), out
 
 
-def test_it_says_what_to_do_and_waits_for_enter() -> None:
-    who, out = asked("\n\n\n")
-    who.ask(op.Homing("Put the stylus on its peg."))
-    assert who.ask(ASKED).visible == (True,) * 4
-    who.ask(op.Touch(3, 4))
-    peg = "Put the stylus on its peg."
-    for words in (peg, "layout overlapping", ASKED.instruction, "teat 3 of 4"):
-        assert words in out.getvalue()
-
-
 def test_one_prompt_asks_for_all_touches_of_a_teat_end() -> None:
     who, out = asked("\n\n\n\ns loose\n")
     who.ask(op.NextTrial(3, 18))
@@ -76,7 +66,7 @@ def test_it_says_how_far_the_run_is() -> None:
     who.ask(op.Touch(2, 4, number=1, numbers=3))
     who.ask(op.CheckPoint(4, 5))
     said = out.getvalue()
-    assert "[trial 3 of 18; about 13 min left] Situation ideal" in said
+    assert "[trial 3 of 18; about 13 min left] Situation ideal, layout overlapping:" in said
     touch = "[trial 3 of 18, teat 2 of 4, 9 of 12 touches left; about 13 min left]"
     assert f"{touch} Touch the end of teat 2, right rear (RR), with" in said
     assert "[touch 4 of 5] Arm check" in said

@@ -13,7 +13,6 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.listener import Connection
 from instruments.stage import zaber
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import marlin as emulated_marlin
 from instruments.stage.emulator import zaber as emulated_zaber
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.store import EMULATED, FLUIDNC, MARLIN, ZABER
@@ -178,21 +177,6 @@ def test_a_board_that_looks_for_its_network_first_is_waited_for(make: Make) -> N
             connection.after(8.0, lambda: bench.emulator.connect(connection))
 
     assert bench.again(device=Slow()).stage.connect().dialect == "FluidNC"
-
-
-@pytest.mark.parametrize(
-    ("constant", "value", "why"),
-    [
-        ("CAPABILITIES", ("EEPROM:1",), "can't be stopped while it homes.*EMERGENCY_PARSER"),
-        ("FIRMWARE", "FIRMWARE_NAME:Repetier 1.0", "this is not Marlin"),
-    ],
-)
-def test_a_marlin_that_can_not_be_stopped_is_refused(
-    make: Make, monkeypatch: pytest.MonkeyPatch, constant: str, value: object, why: str
-) -> None:
-    monkeypatch.setattr(emulated_marlin, constant, value)
-    with pytest.raises(InstrumentError, match=why):
-        make(dialect=MARLIN).stage.connect()
 
 
 def test_marlin_turns_nothing_and_zaber_needs_its_motors(make: Make) -> None:
