@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
 from detector.fused.detector import FusedDetector
 from tests.detector.conftest import recorded
-from tests.detector.fused.path_tracer import traced, without_distortion
+from tests.detector.fused.path_tracer import KINDS, traced, without_distortion
 
 pytestmark = pytest.mark.slow
 
@@ -121,17 +121,18 @@ def test_the_covariances_claim_what_is_so(tallies: dict[str, Tally]) -> None:
 
 
 @pytest.mark.weekly
-def test_scenes_of_a_path_tracer_of_others(rig: Calibration, tmp_path: Path) -> None:
-    """Mitsuba's: gloss, shade, rods, legs, liners. Nothing was learned or tuned on them."""
+@pytest.mark.parametrize("kind", range(len(KINDS)), ids=KINDS)
+def test_scenes_of_a_path_tracer_of_others(rig: Calibration, tmp_path: Path, kind: int) -> None:
+    """Four of each kind by Mitsuba. Nothing was learned or tuned on them."""
     pytest.importorskip("mitsuba", reason="the path tracer Mitsuba is not installed")
     exact = ParameterCovariance((), np.zeros((0, 0)))
     calibration, tally = replace(without_distortion(rig), covariance=exact), Tally()
-    for seed in range(36):
+    for seed in range(kind, kind + 4 * len(KINDS), len(KINDS)):
         scene = traced(seed, calibration, tmp_path)
         answer = FusedDetector().detect(scene.pictures, calibration)
         count(tally, scene.rows, [(t.world_mm, t.covariance_mm2) for t in answer.teats])
     off, sure = np.array(tally.errors_mm), np.array(tally.normalised) > 16.0
-    assert tally.found > 0.97 * tally.visible
+    assert tally.found >= tally.visible - 1
     assert tally.false == 0
     assert np.mean(off) < 1.0
     assert not (sure & (off > 3.0)).any()
