@@ -37,6 +37,7 @@ _THERMAL_PX = np.array([0.25, 0.6])  # sensor px, columns and rows: an end is le
 _OF_FEW = 0.5  # one teat alone may have a warm neighbour: so much more for one, half for two
 _LEAST_INFORMATION = 300.0  # of a teat's thermal outline: a standard deviation of 0.06 px
 _SDS = 3.0  # of what the calibration states
+_ONE_SIDE = 0.8  # an outline that swells by as much of what it shifts lies off on one side alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +73,11 @@ def agreement(
     rows, row_weight = row_offsets(some, p.prior)
     moved, weight = thermal_offsets(some.seen, some.hidden)
     known = weight > _LEAST_INFORMATION
-    one_side, clear = np.minimum(np.abs(moved[:, 0]), np.abs(moved[:, 2])), known[:, 0]
+    shift, clear = moved[:, :2], known[:, 0]
+    alone = np.abs(moved[:, 2]) >= _ONE_SIDE * np.abs(shift[:, 0])
+    one_side = np.where(alone, np.abs(shift[:, 0]), 0.0)
+    shift[alone, 0] = 0.0
     swell = float(np.median(one_side[clear])) if clear.any() else 0.0
-    shift = moved[:, :2]
-    shift[:, 0] -= np.sign(shift[:, 0]) * one_side
     far = np.isfinite(far_px)
     if (np.abs(far_px) > THERMAL.search_px).any() and 2 * far[:, 0].sum() >= len(far):
         shift, known = far_px, far
