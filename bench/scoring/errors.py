@@ -36,8 +36,8 @@ def as_points(value: npt.ArrayLike, name: str) -> Floats:
 
 
 def _finite(values: Floats, what: str) -> Floats:
-    # the sum first: one look where all is well
-    if not isfinite(np.add.reduce(values, axis=None)) and not np.isfinite(values).all():
+    # the sum of squares first: one look where all is well
+    if not isfinite(np.vdot(values, values)) and not np.isfinite(values).all():
         row = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise ValueError(
             f"{what} {row} is {values[row].tolist()}, which is not finite; leave out what was not"

@@ -10,10 +10,8 @@ that is much nearer to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
 from itertools import combinations, starmap
 from math import dist, inf, sqrt
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +27,7 @@ LEAST_SPACING_MM = 5.0
 Points = list[list[float]]
 
 
-@dataclass(frozen=True, slots=True)
-class Counts:
+class Counts(NamedTuple):
     """What a match counted."""
 
     visible: int = 0
@@ -56,13 +53,9 @@ class Counts:
         return Rate(self.matched, self.matched + self.false)
 
 
-_numbers = attrgetter(*(field.name for field in fields(Counts)))
-
-
 def added(parts: Iterable[Counts]) -> Counts:
     """The sum of many, field by field; nothing of none."""
-    rows = [_numbers(part) for part in parts]
-    return Counts(*(sum(column) for column in zip(*rows, strict=True)))
+    return Counts(*map(sum, zip(*parts, strict=True)))
 
 
 class Match(NamedTuple):

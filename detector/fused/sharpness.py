@@ -27,7 +27,8 @@ _LEAST_LINES = 4
 _KNOWN = 0.3  # of a frame's teats and pictures, or nothing is known
 _CLEAR_SLOPE = 8.0  # in noises of the mean profile
 _SHARP_PX, _MOST_PX = 1.8, 4.2  # wider edges widen covariances; beyond that there are no ends
-_MOST_UNLIKE_PX = 2.0  # an end's edges over its sides': the whole end is smeared
+# where sides are as narrow as the first, ends may be wider than they by the second: all are shaded
+_IN_FOCUS_PX, _SHADED_PX = 2.4, 3.0
 # sd along the teat and across it, px: a px of width, a px that motion adds, a share clipped
 _BLUR, _MOTION, _CLIPPED = (0.35, 0.06), (0.6, 0.15), (0.5, 0.17)
 _CLIPPED_DISPARITY_PX = 0.09
@@ -36,8 +37,8 @@ _CLIPPED_LEVEL = 0.996  # of the greatest intensity
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sharpness:
-    """Widths px of sides and ends, lower quartiles of a frame, 0 if unknown; shares (m, 2) of each
-    teat's lines (sides, end) that are clipped, inside or outside.
+    """Widths px, 0 if unknown: of sides the lower quartile of a frame, of ends the least; shares
+    (m, 2) of each teat's lines (sides, end) that are clipped, inside or outside.
     """
 
     side_px: float
@@ -77,7 +78,7 @@ def sharpness(fitted: Fitted, views: tuple[CameraView, ...]) -> Sharpness:
             noise = view.noise / np.sqrt(np.maximum(count, 1))
             widths[known, number, k] = _widths((share @ lines)[:, 0], noise)[known]
             clipped[known, number, k] = (share @ beyond)[known, 0].max(axis=1)
-    side, end = (_lower_quartile(widths[..., part]) for part in range(2))
+    side, end = (_narrow(widths[..., part], share) for part, share in enumerate((25.0, 0.0)))
     return Sharpness(side, end, clipped.max(axis=1))
 
 
@@ -102,20 +103,20 @@ def _to_half(share: Array, peak: NDArray[np.intp]) -> Array:
     return np.asarray(np.where(below.any(axis=1), at - part, last) - peak)
 
 
-def _lower_quartile(widths_px: Array) -> float:
-    """Of a part's widths (m, 2), NaN where unknown: blur widens all of them, a shaded end its own.
-    0 where hardly one is known.
+def _narrow(widths_px: Array, percent: float) -> float:
+    """Of a part's widths (m, 2), NaN where unknown, so many of which are narrower: blur widens all
+    of them, shade its own. 0 where hardly one is known.
     """
     known = widths_px[np.isfinite(widths_px)]
     enough = len(known) >= max(_KNOWN * widths_px.size, 2)
-    return float(np.percentile(known, 25)) if enough else 0.0
+    return float(np.percentile(known, percent)) if enough else 0.0
 
 
 def too_blurred(found: Sharpness) -> str | None:
     """Why no end can be given, or None."""
     width = max(found.side_px, found.end_px)
-    smeared = found.side_px > 0 and found.end_px - found.side_px > _MOST_UNLIKE_PX
-    if width <= _MOST_PX and not smeared:
+    in_focus = 0 < found.side_px <= _IN_FOCUS_PX
+    if width <= (found.side_px + _SHADED_PX if in_focus else _MOST_PX):
         return None
     way = (
         "by motion along the rows"

@@ -8,6 +8,10 @@ and so in the thermal picture: by ``(f_t B_t) / (f B)`` sensor pixels a pixel of
 depth (f: focal lengths, B: distances between centres, t: thermal). On the thesis's rig that is 0.2:
 0.25 sensor pixels, the limit of the warning, are 1.2 pixels of disparity, or 12 mm at 1.1 m. What
 is below widens the covariances.
+
+Light that fades into the background hides one side of all teats from both optical pictures. Then
+the thermal outline lies off on that side alone: it swells by as much as it shifts. That is none of
+the cameras', and widens covariances across the sides.
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ _THERMAL_PX = np.array([0.25, 0.6])  # sensor px, columns and rows: an end is le
 _OF_FEW = 0.5  # one teat alone may have a warm neighbour: so much more for one, half for two
 _LEAST_INFORMATION = 300.0  # of a teat's thermal outline: a standard deviation of 0.06 px
 _SDS = 3.0  # of what the calibration states
+_ONE_SIDE = 0.8  # an outline that swells by as much of what it shifts lies off on one side alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +45,8 @@ class Agreement:
     """How far the cameras disagree: right rows against left, px; thermal against optical
     columns and rows, sensor px, most teats by as much or more; NaN where no teat shows it.
     ``disparity_px``: what would explain the median of the thermal columns; 0 if unknown.
-    ``ratio``: sensor px a px of disparity.
+    ``ratio``: sensor px a px of disparity. ``swell_px``: the median of the thermal outlines'
+    shifts that are of one side alone, px of the right picture.
     """
 
     teats: int
@@ -48,6 +54,7 @@ class Agreement:
     thermal_px: tuple[float, float]
     disparity_px: float
     ratio: float
+    swell_px: float = 0.0
 
 
 def agreement(
@@ -64,8 +71,13 @@ def agreement(
     if len(some.teats) + len(far_px) == 0:
         return nothing
     rows, row_weight = row_offsets(some, p.prior)
-    shift, weight = thermal_offsets(some.seen, some.hidden)
+    moved, weight = thermal_offsets(some.seen, some.hidden)
     known = weight > _LEAST_INFORMATION
+    shift, clear = moved[:, :2], known[:, 0]
+    alone = np.abs(moved[:, 2]) >= _ONE_SIDE * np.abs(shift[:, 0])
+    one_side = np.where(alone, np.abs(shift[:, 0]), 0.0)
+    shift[alone, 0] = 0.0
+    swell = float(np.median(one_side[clear])) if clear.any() else 0.0
     far = np.isfinite(far_px)
     if (np.abs(far_px) > THERMAL.search_px).any() and 2 * far[:, 0].sum() >= len(far):
         shift, known = far_px, far
@@ -75,7 +87,8 @@ def agreement(
     pooled = float(rows @ row_weight / max(row_weight.sum(), 1e-9))
     across = shift[known[:, 0], 0]
     disparity = abs(float(np.median(across))) / ratio if len(across) else 0.0
-    return Agreement(len(shift), pooled, (columns, down), disparity, ratio)
+    swell *= calibration.right.fc[0] * size / lens.fc[0]
+    return Agreement(len(shift), pooled, (columns, down), disparity, ratio, swell)
 
 
 def _middle(shifts: Array) -> float:
@@ -182,7 +195,7 @@ def calibration_covariances(
     Where the calibration states nothing, a disparity wrong by ``p.calibration_px`` and each focal
     length by ``p.calibration_focal`` of it; and as much of disparity as the thermal picture shows
     beyond its noise. Along the line of sight; across it half of the disparity, since either camera
-    may be off, and half of what the rows are off.
+    may be off, half of what the rows are off, and by what one side alone is.
     """
     depth = ends_mm[:, 2]
     mm_a_px = depth / calibration.right.fc[0]
@@ -192,7 +205,8 @@ def calibration_covariances(
     sight = (ends_mm - between) / depth[:, None]
     sight_a_px = sight * (mm_a_px * depth / calibration.baseline_mm)[:, None]
     along = sight_a_px * disparity
-    across = np.diag(0.25 * np.array([disparity, np.nan_to_num(found.rows_px), 0.0]) ** 2)
+    columns = np.hypot(0.5 * disparity, found.swell_px)
+    across = np.diag([columns**2, (0.5 * np.nan_to_num(found.rows_px)) ** 2, 0.0])
     moves = [along]
     if calibration.covariance is None:  # pixels are off by a share of their distance from the axis
         in_left = calibration.right_from_left.inverse().apply(ends_mm)

@@ -46,7 +46,9 @@ def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
 
 
 def thermal_offsets(seen: OutlineEdges, hidden: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Shifts (m, 2) sensor px of the last view's outlines, each free to swell; weights (m, 2)."""
+    """Of the last view's outlines, sensor px: shifts along columns and rows, and by how much each
+    swells (m, 3); weights of the shifts (m, 2).
+    """
     at = slice(-len(FINE_OUTLINE.part), None)
     off = seen.offset_px[:, at]
     clear = np.isfinite(off) & (seen.clarity[:, at] > CLEAR) & ~hidden[:, at]
@@ -61,7 +63,7 @@ def thermal_offsets(seen: OutlineEdges, hidden: NDArray[np.bool_]) -> tuple[Arra
         shift = np.linalg.solve(G, pull @ off[..., None])
         left = off - (moves @ shift)[..., 0]
         trusted = weight / (1 + (left / _ROBUST_PX) ** 2)
-    return shift[:, :2, 0], np.diagonal(G, axis1=1, axis2=2)[:, :2]
+    return shift[..., 0], np.diagonal(G, axis1=1, axis2=2)[:, :2]
 
 
 def thermal_offsets_far(teats: Array, view: CameraView) -> Array:
@@ -95,9 +97,8 @@ def _thermal_near(teats: Array, view: CameraView, moved: Array) -> Array:
         near = np.abs(seen.offset_px) < _CLOSE_PX
         whole = near.mean(axis=1) >= LEAST_SEEN
         whole &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= LEAST_END
-        off, weight = (
-            each.reshape(m, -1, 2) for each in thermal_offsets(seen, np.zeros(near.shape, bool))
-        )
+        shifts, weights = thermal_offsets(seen, np.zeros(near.shape, bool))
+        off, weight = (each.reshape(m, -1, 2) for each in (shifts[:, :2], weights))
         some = weight > _LEAST_INFORMATION
         # the median of those that show one, 0 without
         ranked, count = np.sort(np.where(some, off, np.inf), axis=0), some.sum(axis=0)

@@ -13,9 +13,10 @@ import scipy
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from detector.calibration import ParameterCovariance, load_calibration
+from detector.calibration import Calibration, ParameterCovariance, load_calibration
 from detector.fused.detector import FusedDetector
 from tests.detector.conftest import recorded
+from tests.detector.fused.path_tracer import KINDS, traced, without_distortion
 
 pytestmark = pytest.mark.slow
 
@@ -117,3 +118,21 @@ def test_the_covariances_claim_what_is_so(tallies: dict[str, Tally]) -> None:
     sums = np.concatenate(plain)
     assert 0.3 * 3 < np.mean(sums) < scipy.stats.chi2.ppf(0.975, 3 * len(sums)) / len(sums)
     assert np.mean(np.concatenate([t.normalised for t in tallies.values()])) < 1.5 * 3
+
+
+@pytest.mark.weekly
+@pytest.mark.parametrize("kind", range(len(KINDS)), ids=KINDS)
+def test_scenes_of_a_path_tracer_of_others(rig: Calibration, tmp_path: Path, kind: int) -> None:
+    """Four of each kind by Mitsuba. Nothing was learned on them; bounds are by fused 26."""
+    pytest.importorskip("mitsuba", reason="the path tracer Mitsuba is not installed")
+    exact = ParameterCovariance((), np.zeros((0, 0)))
+    calibration, tally = replace(without_distortion(rig), covariance=exact), Tally()
+    for seed in range(kind, kind + 4 * len(KINDS), len(KINDS)):
+        scene = traced(seed, calibration, tmp_path)
+        answer = FusedDetector().detect(scene.pictures, calibration)
+        count(tally, scene.rows, [(t.world_mm, t.covariance_mm2) for t in answer.teats])
+    off, sure = np.array(tally.errors_mm), np.array(tally.normalised) > 16.0
+    assert tally.found >= tally.visible - 2
+    assert tally.false == 0
+    assert np.mean(off) < 1.2
+    assert not (sure & (off > 3.0)).any()

@@ -56,6 +56,18 @@ def test_blurred_pictures_are_a_reason(
 
 
 @pytest.mark.slow
+def test_shade_that_fades_towards_all_ends_is_no_blur(find: Find) -> None:
+    """Lit from above before a wall as bright: the last 3 mm go from dark to nearly the wall's grey."""
+    shaded = [
+        replace(body, end_mm=(*body.end_mm[:2], body.end_mm[2] - low), grey=150.0 - 40.0 * low)
+        for body in BODIES
+        for low in np.arange(0.0, 3.01, 0.3)
+    ]
+    answer = find(shaded)
+    assert len(answer.teats) == len(BODIES), answer.reason
+
+
+@pytest.mark.slow
 def test_clipped_and_slightly_blurred_pictures_widen_covariances(
     frames: Pictures, rig: Calibration
 ) -> None:

@@ -45,6 +45,28 @@ def test_cameras_that_disagree_are_a_reason(
 
 
 @pytest.mark.slow
+def test_light_that_hides_the_same_side_of_all_teats_is_not_the_cameras(
+    draw_scene: Draw, rig: Calibration
+) -> None:
+    """Both optical pictures show the teats without their last 3 mm, the thermal one whole."""
+    ends = np.array([(-255.0, 275.0, 132.0), (-205.0, 200.0, 137.0), (-80.0, 270.0, 134.0)])
+    whole = [Body((x, y, z), (0.05, -0.05)) for x, y, z in ends.tolist()]
+    lit = [
+        replace(body, end_mm=(body.end_mm[0] - 1.5, *body.end_mm[1:]), radius_mm=9.5, seen_by="LR")
+        for body in whole
+    ]
+    exact = replace(rig, covariance=ParameterCovariance((), np.zeros((0, 0))))
+    seen = draw_scene([*lit, *(replace(body, seen_by="T") for body in whole)])
+    found = FusedDetector().detect(seen, exact)
+    assert len(found.teats) == 3, found.reason
+    for teat in found.teats:
+        off = teat.world_mm - ends[np.linalg.norm(ends - teat.world_mm, axis=1).argmin()]
+        assert teat.covariance_mm2 is not None
+        assert off @ np.linalg.solve(teat.covariance_mm2, off) < 11.345
+        assert np.sqrt(np.linalg.eigvalsh(teat.covariance_mm2)[-1]) < 5.0
+
+
+@pytest.mark.slow
 def test_a_calibration_that_states_so_much_may_be_off_by_it(
     frames: Pictures, rig: Calibration
 ) -> None:
