@@ -37,7 +37,8 @@ _THERMAL_PX = np.array([0.25, 0.6])  # sensor px, columns and rows: an end is le
 _OF_FEW = 0.5  # one teat alone may have a warm neighbour: so much more for one, half for two
 _LEAST_INFORMATION = 300.0  # of a teat's thermal outline: a standard deviation of 0.06 px
 _SDS = 3.0  # of what the calibration states
-_ONE_SIDE = 0.8  # an outline that swells by as much of what it shifts lies off on one side alone
+# a thermal outline that shifts so far, and is wider by so much of that, is so on one side alone
+_ONE_SIDE_PX, _ONE_SIDE = 0.15, 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +75,9 @@ def agreement(
     moved, weight = thermal_offsets(some.seen, some.hidden)
     known = weight > _LEAST_INFORMATION
     shift, clear = moved[:, :2], known[:, 0]
-    alone = np.abs(moved[:, 2]) >= _ONE_SIDE * np.abs(shift[:, 0])
-    one_side = np.where(alone, np.abs(shift[:, 0]), 0.0)
-    shift[alone, 0] = 0.0
+    one_side = np.abs(shift[:, 0])
+    one_side[(one_side < _ONE_SIDE_PX) | (moved[:, 2] < _ONE_SIDE * one_side)] = 0.0
+    shift[one_side > 0, 0] = 0.0
     swell = float(np.median(one_side[clear])) if clear.any() else 0.0
     far = np.isfinite(far_px)
     if (np.abs(far_px) > THERMAL.search_px).any() and 2 * far[:, 0].sum() >= len(far):
