@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from textfiles.documents import read_toml
-from textfiles.text import TextError, text_of
+from textfiles.text import TextError, shown, text_of
 
 Keys = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -57,5 +57,6 @@ def faults_of(error: ValidationError) -> Iterator[tuple[Keys, str]]:
         message = detail["msg"].removeprefix("Value error, ")
         if kind in ("unexpected_keyword_argument", "extra_forbidden"):
             message = "unknown key"
-        shown = f" (found {detail['input']!r:.60})" if kind != "missing" and detail["loc"] else ""
-        yield detail["loc"], f"{message[0].lower()}{message[1:]}{shown}"
+        given = kind != "missing" and detail["loc"]
+        found = f" (found {shown(detail['input']):.60})" if given else ""
+        yield detail["loc"], f"{message[0].lower()}{message[1:]}{found}"

@@ -79,6 +79,14 @@ def words_of(error: object) -> str:
         return ""
 
 
+def shown(value: object) -> str:
+    """As Python writes it; its kind where that fails, as of a value of another's code."""
+    try:
+        return repr(value)
+    except Exception:
+        return f"<{type(value).__name__}>"
+
+
 def named(error: object) -> str:
     """Its kind and words."""
     return f"{type(error).__name__}: {words_of(error)}".removesuffix(": ")

@@ -65,7 +65,7 @@ def _trials_csv(run: RunRecord) -> str:
             }
             if score := trial.scores.get(detection["detector"]):
                 counts, radial = score.counts, score.radial_mm
-                known |= counts._asdict() | {
+                known |= asdict(counts) | {
                     "found": counts.matched,
                     "gospa_mm": score.gospa_mm,
                     "success": int(score.success),

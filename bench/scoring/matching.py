@@ -10,8 +10,10 @@ that is much nearer to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from itertools import combinations, starmap
 from math import dist, inf, sqrt
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +29,8 @@ LEAST_SPACING_MM = 5.0
 Points = list[list[float]]
 
 
-class Counts(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Counts:
     """What a match counted."""
 
     visible: int = 0
@@ -53,9 +56,13 @@ class Counts(NamedTuple):
         return Rate(self.matched, self.matched + self.false)
 
 
+_numbers = attrgetter(*(field.name for field in fields(Counts)))
+
+
 def added(parts: Iterable[Counts]) -> Counts:
     """The sum of many, field by field; nothing of none."""
-    return Counts(*map(sum, zip(*parts, strict=True)))
+    rows = [_numbers(part) for part in parts]
+    return Counts(*(sum(column) for column in zip(*rows, strict=True)))
 
 
 class Match(NamedTuple):

@@ -98,7 +98,7 @@ def test_the_page_says_them(numbers: Numbers, plan: CampaignPlan) -> None:
     assert board.rows[0][2] == (None,)
     assert len([part for part in page.parts() if isinstance(part, Figure)]) == 3
     html = render(page)
-    assert "teatbench campaign show &#39;some where&#39; ideal-0005" in html
+    assert "teatbench campaign show &#34;some where&#34; ideal-0005" in html
     assert "1 scene set aside" in html
     tables = [part.caption for part in page.parts() if isinstance(part, Table)]
     assert len(tables) == 5, tables
