@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,22 @@ if TYPE_CHECKING:
 def said(capsys: pytest.CaptureFixture[str]) -> Said:
     """Runs a command that must end with a code; gives back what it wrote."""
     return Said(capsys)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kept() -> Iterator[None]:
+    """A module that adds to the run which this process keeps for all changes what others read."""
+    yield
+    if small_run := sys.modules.get("tests.bench.small_run"):
+        names = (
+            {
+                one.relative_to(run)
+                for one in run.rglob("*")
+                if not one.name.startswith("run.sqlite")
+            }
+            for run in (small_run.KEPT, small_run.WRITTEN)
+        )
+        assert next(names) == next(names)
 
 
 @pytest.fixture(scope="session")

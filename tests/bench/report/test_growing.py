@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -75,10 +76,11 @@ def changed(run: RunRecord, **rows: Any) -> RunRecord:
     return replace(run, trials=(replace(run.trials[0], **rows), *run.trials[1:]))
 
 
-def test_what_is_drawn_of_something_else_is_not_taken(drawn: list[str]) -> None:
-    parts, run = TrialParts(), read_run(KEPT)
+def test_what_is_drawn_of_something_else_is_not_taken(drawn: list[str], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(KEPT, tmp_path / "run"))
+    parts, run = TrialParts(), read_run(folder)
     parts.draw(run, 100)
-    calibration = read_calibration(KEPT / "calibration.toml")
+    calibration = read_calibration(folder / "calibration.toml")
     one = run.trials[0]
     near = np.vstack([[one.head["captured_s"], 20.0, 0.0], run.bath])
     others = [
@@ -95,9 +97,9 @@ def test_what_is_drawn_of_something_else_is_not_taken(drawn: list[str]) -> None:
     assert readings_at(elsewhere, one) == readings_at(run, one) != readings_at(others[6], one)
     for other in (run, *others):
         drawn.clear()
-        taken = [*parts.of(other, calibration, KEPT / "report", ())]
+        taken = [*parts.of(other, calibration, folder / "report", ())]
         assert (one.id in drawn) == (other is not run)
-        assert taken == [*TrialParts().of(other, calibration, KEPT / "report", ())]
+        assert taken == [*TrialParts().of(other, calibration, folder / "report", ())]
 
 
 def test_what_can_t_be_drawn_is_said_once(tmp_path: Path) -> None:
