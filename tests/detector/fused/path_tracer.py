@@ -134,7 +134,7 @@ def traced(seed: int, rig: Calibration, folder: Path) -> Traced:
     teats = list[tuple[Array, float, float, float]]()
     for place in _UDDER_MM[rng.permutation(4)[: rng.choice([2, 3, 4, 4, 4])]]:
         foot = _MIDDLE_MM + np.append(place + draw(-9, 9, 2), 45.0 if kind == "cow" else 0.0)
-        length, radius = draw(40, 65) if kind == "cow" else draw(80, 110), draw(9.5, 12.5)
+        length, radius = draw(65, 90) if kind == "cow" else draw(80, 110), draw(9.5, 12.5)
         height = draw(0.85, 1.15)
         motion = _moved(np.array([*rng.normal(0, 0.08, 2), 1.0]), foot)
         straight = length - height * radius
