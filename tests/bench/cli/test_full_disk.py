@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -43,32 +44,37 @@ CASES = [*((what, 0) for what in COMMANDS), ("a picture", 512), ("a detector", 5
 CASES += [(what, 1200) for what in ("tables", "a recording", "a comparison")]
 
 
-@pytest.fixture
-def full(most: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The system refuses each write as on a full disk, once a file has ``most`` bytes."""
+@contextmanager
+def full(most: int) -> Iterator[None]:
+    """The system refuses each write as on a full disk, once a file has ``most`` bytes: pytest's own
+    of a test's outcome too, where they go to a file, so a test is over before that.
+    """
     resource = pytest.importorskip("resource", reason="Windows limits no file's size")
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("what", "most"), CASES)
 def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
-    what: str, tmp_path: Path, said: Said, full: None
+    what: str, most: int, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     (there := tmp_path / "there").mkdir()
     places = {"run": KEPT, "recording": KEPT, "calibration": CALIBRATION, "there": there}
     words = shlex.split(COMMANDS[what].format(**places))
-    if what == ALONE:
-        command = [sys.executable, "-m", "bench.cli", *words]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 3, done
-        out, err = done.stdout, done.stderr
-    else:
-        out, err = said(3, "{}", words)
+    with full(most):
+        if what == ALONE:
+            command = [sys.executable, "-m", "bench.cli", *words]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert done.returncode == 3, done
+            out, err = done.stdout, done.stderr
+        else:
+            out, err = said(3, "{}", words)
     assert "written:" not in out
     assert re.search(rf"{re.escape(str(there))}\S*: .*File too large\. Make room\.", err), err
     left = [one for one in there.rglob("*") if one.is_dir() or one.stat().st_size]
