@@ -117,7 +117,9 @@ _JSON_TO = ContextVar[TextIO]("_JSON_TO")
 
 @contextmanager
 def stdout_for_json() -> Iterator[None]:
-    """Only `print_json` writes to stdout; what drivers and detectors print goes to stderr."""
+    """Only `print_json` writes to stdout; what drivers and detectors of others print goes to
+    stderr.
+    """
     before = _JSON_TO.set(sys.stdout)
     try:
         with redirect_stdout(sys.stderr):

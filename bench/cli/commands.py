@@ -956,6 +956,8 @@ def exit_codes(name: str) -> Mapping[str, str]:
 
 
 def interrupted(name: str) -> str:
-    """What stands once Ctrl-C has ended the command, and what to do."""
+    """What stands once Ctrl-C has ended the command, and what to do; of one without a row, that
+    nothing is known.
+    """
     rows = table("endings")["interrupted"]
     return next((str(row["text"]) for row in rows if name in row["of"]), "it may be half done")

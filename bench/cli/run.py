@@ -126,7 +126,9 @@ def _summarize(given: argparse.Namespace, found: bench.Reported | str = "") -> N
 
 @contextmanager
 def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> Iterator[Word]:
-    """Sends word of what happens; gives what sends the last one, of all runs and their queue."""
+    """Sends word of what happens; gives what sends the last one, of all runs as they ended, and
+    how their queue did, where they are one.
+    """
     from bench.run.notify import notifying, text_of
 
     with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:

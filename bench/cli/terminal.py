@@ -121,7 +121,9 @@ COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )((?:[^\n']| '[^\n']
 
 
 def print_wrapped(console: Console, text: str, style: str = "") -> None:
-    """``text`` wrapped, a command at its end on a line of its own; in a file lines stay whole."""
+    """``text`` wrapped between words; a command at its end on a line of its own, to be pasted.
+    In a file lines stay whole, for who searches them.
+    """
     command = COMMAND.search(text) if console.is_terminal else None
     before, piped = f"{text[: command.start()]}:" if command else text, not console.is_terminal
     console.print(before, style=style, markup=False, highlight=False, soft_wrap=piped)
@@ -130,7 +132,9 @@ def print_wrapped(console: Console, text: str, style: str = "") -> None:
 
 
 def print_table(console: Console, table: Table) -> None:
-    """``table`` with whole words; each row as a text where a terminal has no room for that."""
+    """``table`` with each word whole; where a terminal has no room for that, each row as a text. A
+    file or a pipe has no edge.
+    """
     wide = console.options.update(width=10_000)
     needs = table.__rich_measure__(console, wide)
     if not console.is_terminal:
@@ -169,7 +173,9 @@ class _Printed(SanitizedStream):
 
 
 class _Display(Live):
-    """Its lock keeps a refresh from parting what is written above it."""
+    """What is written above it is not parted by a refresh: rich moves by the rows that it drew
+    last, which may be others by then.
+    """
 
     def above(self, write: Callable[[], None]) -> None:
         with self._lock:

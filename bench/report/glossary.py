@@ -13,7 +13,9 @@ from reports.glossary import Term
 
 @cache
 def terms(*, in_docs: bool = False) -> tuple[Term, ...]:
-    """All that reports link, as in the file; ``in_docs``: by name, with those of docs alone."""
+    """All that reports link, in the order of the file; ``in_docs``: by name, with those that only
+    docs and `teatbench help` explain.
+    """
     linked = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
     more = linked.pop("in_docs")
     found = sorted({**linked, **more}.items(), key=lambda one: one[0].lower())

@@ -22,6 +22,8 @@ OPERATORS_EVENT = "the operator skipped it"
 
 
 class Cause(StrEnum):
+    """What is at fault."""
+
     DETECTOR = "detector"
     TRUTH = "truth"
     BENCH = "bench"

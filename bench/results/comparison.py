@@ -60,6 +60,8 @@ CAMERAS = frozenset(Path(name).stem for name in FILES)
 
 @dataclass(frozen=True, slots=True)
 class Side:
+    """One detector in one run."""
+
     run: RunRecord
     detector: str
 

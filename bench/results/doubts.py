@@ -80,7 +80,9 @@ def _exchanged(recording: Recording, calibration: Calibration) -> Iterator[str]:
 
 
 def out_of_sight(truth: Iterable[tuple[str, TruthRow]], calibration: Calibration) -> Iterator[str]:
-    """Visible ends that the pictures can't show, or whose depth no disparity can tell."""
+    """Visible ends that the pictures can't show, or whose depth no disparity can tell; of rows with
+    the name of their frame or trial.
+    """
     rows = [(frame, row) for frame, row in truth if row.visible]
     if not rows:
         return

@@ -84,7 +84,9 @@ class ErrorRows:
 
     @property
     def quantities(self) -> dict[str, Regressor]:
-        """What the errors of found rows may depend on; the place is the planned one, if any."""
+        """What the errors may depend on, for the found rows. The place is the planned one; in a
+        recording, which has no plan, the truth's.
+        """
         places = self.places_mm[self.found] if self.planned_mm is None else self.planned_mm
         u_mm = np.zeros(3)
         if self.truth is not None and len(self.truth.fresh):
@@ -263,7 +265,9 @@ def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
 
 
 def planned_ends(run: RunRecord) -> dict[tuple[str, str], tuple[Floats, float]]:
-    """Each end's planned place (world, mm) and its teat's tilt (deg); none for a recording."""
+    """Where the script has each end (world, mm) and how far its teat leans from the vertical (deg),
+    by trial and teat; nothing for a recording.
+    """
     found: dict[tuple[str, str], tuple[Floats, float]] = {}
     path = run.folder / SCRIPT
     for planned in _planned_in(path, read_text(path)) if path.is_file() else ():

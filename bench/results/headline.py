@@ -96,7 +96,9 @@ def cure_of(reason: str, folder: Path) -> str:
 
 
 def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
-    """Why and what next of a finished run; a line each of several detectors, silent ones first."""
+    """Why and what next of a whole and finished run; where several detectors are judged, a line
+    for each. A detector without answers comes first.
+    """
     if doubts := run.facts.get(DOUBTS_FACT):
         why = "; ".join(doubts)
         wrong = "The calibration can't be that of these pictures"

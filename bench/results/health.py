@@ -42,7 +42,9 @@ MOST_WARNINGS = 3
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Its name, unit, digits, and least scatter that counts; without ``limits`` only shown."""
+    """``what`` is said of it, its unit, digits, and the smallest scatter that means anything;
+    without ``limits`` it is shown only.
+    """
 
     what: str
     unit: str

@@ -113,7 +113,9 @@ def drift_limit_mm(
 
 
 def unmoved_mm(rules: Iterable[Requirement], arm: Arm) -> float:
-    """How near to an earlier check's mean one more touch has to be, where nothing has moved."""
+    """How near to the mean of an earlier check's touches one more has to be to show that nothing
+    has moved: as two whole checks may differ.
+    """
     stated, sizes = stated_fact(arm), (arm.check_touches,) * 2
     limits = [
         drift_limit_mm(one, stated, sizes) for one in rules if isinstance(one, ArmRequirement)

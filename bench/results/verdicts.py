@@ -283,7 +283,9 @@ def _doubted(decision: Decision, rules: Rules, wrong: str) -> Decision:
 
 
 def beside_tests(decision: Decision, runs: Iterable[RunRecord]) -> Decision:
-    """The decision; not met where a test failed, inconclusive where one didn't pass otherwise."""
+    """The decision; not met where one of its tests failed, inconclusive where one ended otherwise
+    than by passing.
+    """
     facts = (run.facts.get(TESTS_FACT, {}).get(decision.name, {}) for run in runs)
     ended = {test: how for tests in facts for test, how in tests.items()}
     if not ended:

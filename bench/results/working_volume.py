@@ -18,7 +18,9 @@ NO_LENS = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def outside_picture(pixels_px: Array, size: tuple[int, int], margin: float) -> Array:
-    """Which pixels (n, 2) lie beyond a picture by more than ``margin``, a share of its size."""
+    """Which pixels (n, 2) are farther from a picture of this size (columns, rows) than ``margin``,
+    a share of the size; those that are no numbers too.
+    """
     wide = margin * np.array(size)
     return np.asarray(~((pixels_px >= -wide) & (pixels_px <= size + wide)).all(axis=1))
 

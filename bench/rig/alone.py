@@ -76,7 +76,9 @@ class OpenCameras:
 
 @contextmanager
 def open_cameras(sources: Sequence[str]) -> Iterator[OpenCameras]:
-    """Cameras of a rig (default: emulated) or by URL. Raises ConfigError, InstrumentError."""
+    """Cameras of a rig (none: the emulated one) or by URL, until the block ends. Raises
+    ConfigError, InstrumentError.
+    """
     by_url = any(source.partition(":")[0] in ("opencv", "genicam", "files") for source in sources)
     if by_url and len(sources) > len(KNOWN):
         raise ConfigError.plain(

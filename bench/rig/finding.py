@@ -194,7 +194,9 @@ KEPT = ("cameras", "cameras.checks", "limits")  # all of their keys have default
 def rig_text(
     example: str, values: Mapping[str, Mapping[str, object]], missing: Mapping[str, str], about: str
 ) -> str:
-    """The ``example`` with ``values``, the rest as comments; ``missing``: urls to be filled in."""
+    """The ``example`` with ``values`` by table and key; other keys and tables stay as comments. A
+    table in ``missing`` has its url to be filled in.
+    """
     given = {name: dict(table) for name, table in values.items()}
     for name, url in missing.items():
         given.setdefault(name, {}).setdefault("url", url)

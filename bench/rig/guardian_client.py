@@ -98,7 +98,9 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 @dataclass(frozen=True, slots=True)
 class GuardianTarget:
-    """A bath, its pump's relay, a stage; no ``url``: a stage alone. Profiles by name or path."""
+    """A bath, and the relay of its pump where it has one; profiles by name or whole path. With a
+    ``stage``, or a stage alone (no ``url``).
+    """
 
     url: str = ""
     profile: str = ""
@@ -146,6 +148,7 @@ class GuardianClient:
 
     @property
     def pid(self) -> int:
+        """The guardian's process."""
         return self._process.pid
 
     @property

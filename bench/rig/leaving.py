@@ -180,7 +180,9 @@ class Leaving:
 
 
 class OpenInstruments(AbstractContextManager[Devices]):
-    """Open instruments, left safe at the context's end, or at the interpreter's if never left."""
+    """Open instruments that are left safe: at the context's end, and else at the interpreter's,
+    where the context was entered and never left.
+    """
 
     def __init__(
         self, opened: AbstractContextManager[Devices], leaving: Callable[[Devices], Leaving] | None

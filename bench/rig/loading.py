@@ -271,7 +271,9 @@ BOARD_WORD = re.compile(r"(?:checker|chess)board:(\d{1,5})x(\d{1,5}):(\d{1,5}(?:
 
 
 def find_board(name: str | None) -> tuple[Board, tuple[Path, ...]]:
-    """A shipped board by name, any by file or figures; and the file, if any. Raises ConfigError."""
+    """A shipped board by name, any by its file, or by its figures (``checkerboard:5x7:30mm``, inner
+    corners); and the file, if any. Raises ConfigError.
+    """
     if name and re.match(r"\w\w+:", name) and not Path(name).is_file():
         found = BOARD_WORD.fullmatch(name)
         if found is None:

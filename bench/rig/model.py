@@ -103,7 +103,9 @@ class Arm(Section):
 
     @property
     def u_mm(self) -> float:
-        """Standard uncertainty along an axis, widened by Student's t (JCGM 101:2008, 6.4.9.4)."""
+        """Standard uncertainty of a position along an axis, widened by Student's t of its degrees
+        of freedom (JCGM 101:2008, 6.4.9.4).
+        """
         df = self.accuracy_df
         return self.accuracy_mm * (math.sqrt(df / (df - 2.0)) if df else 1.0)
 

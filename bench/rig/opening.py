@@ -192,7 +192,9 @@ def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
 
 
 def pedal_watch(arm: Arm, clock: Clock) -> Callable[[float], bool]:
-    """Waits some seconds for a pedal to be pressed; one that is down at first must come up."""
+    """Waits some seconds for a pedal; True once one was pressed since the first call. A pedal that
+    is down at first must come up. Raises as polling.
+    """
     debouncer = Debouncer()
 
     def pressed(seconds: float) -> bool:

@@ -16,7 +16,9 @@ from detector.protocol import CamerasOff, Context
 
 
 class CamerasSoFar:
-    """The check of a run's cameras up to now, for the detectors' context."""
+    """What the known ends of a run say of its cameras up to now, for the detectors' context: from
+    ``trials`` of its earlier sessions on.
+    """
 
     def __init__(self, trials: Iterable[TrialRecord] = ()) -> None:
         self._seen: dict[str, list[dict[str, Any]]] = defaultdict(list)

@@ -140,7 +140,9 @@ class RunContext:
             self.show()
 
     def look_at_idle(self) -> None:
-        """Asks idle stage, arm and cameras; not in virtual time, where that changes more."""
+        """Asks stage, arm and cameras, which have nothing to do; in virtual time that would change
+        more.
+        """
         due = self.clock.now() - self._stage_seen_s >= STAGE_S
         if due and type(self.clock) is not VirtualClock:
             self._look_at_stage()

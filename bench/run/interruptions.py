@@ -92,7 +92,9 @@ class Recovery:
         self.counts: Counter[str] = Counter()
 
     def run(self, what: str, work: Callable[[], None]) -> None:
-        """Do ``work`` until done. Raises a fault without policy, come too often, or that stays."""
+        """Do ``work`` until it is done. Raises a fault without a policy, one that came too often,
+        and one whose instrument does not come back.
+        """
         tried: Counter[str] = Counter()
         if self._missing:  # the wait was given up, and it may be back, but not where it was
             self._pause(what, *self._missing, "still away")

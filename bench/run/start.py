@@ -189,7 +189,9 @@ def _of_a_queue(
 def resume_run(
     folder: Path, progress: Progress, how: RunOptions | None = None
 ) -> tuple[Path, RunState]:
-    """Continue the run in ``folder``. Raises ConfigError, LatchedError, RigInUseError."""
+    """Continue the run in ``folder`` at its first trial without a result, as it was begun. Raises
+    ConfigError, LatchedError, RigInUseError.
+    """
     how = how or RunOptions()
     events = progress if isinstance(progress, Events) else Events(progress)
     rig, script = files_of(run := read_run(folder))
@@ -624,7 +626,9 @@ def members_of(recording: Recording) -> dict[str, list[int]]:
 
 
 def _pose_names(recording: Recording) -> dict[str, str]:
-    """By frame the first one of its pose: same situation and teats, ends within SAME_POSE_MM."""
+    """For each frame the first one of the same pose (same situation and teats, each end within
+    SAME_POSE_MM): frames of one pose are repeats.
+    """
     names: dict[str, str] = {}
     # by situation and teats: names of the first frames, and their ends (n, 3)
     firsts: dict[tuple[tuple[str, str], ...], dict[str, NDArray[np.float64]]] = {}

@@ -84,7 +84,9 @@ def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
 def choose_truth(
     ctx: RunContext, settled: Settled, *, before: RunRecord | None = None
 ) -> TouchedTruth:
-    """The truth source of a run. ``settled`` gets carried trials, and whether they hold."""
+    """The truth source of a run. ``settled`` gets the carried trials that a check has confirmed
+    (True) or invalidated; ``before``: the stopped run.
+    """
     table, stage, settings = ctx.script.script.truth, ctx.devices.stage, ctx.rig.rig.stage
 
     def look() -> None:
@@ -408,7 +410,9 @@ class TrialRun:
     def _look_at_teats(
         self, trial: PlannedTrial, frames: FrameSet, ends: Sequence[TrueEnd], bath_c: float
     ) -> None:
-        """Measures the teats by the thermal camera. Raises DeviceError for cold ones."""
+        """Where no sensor is at the teats, the thermal camera measures. Raises DeviceError for
+        cold ones; why it can't is a fact of the run.
+        """
         ctx, emulation = self.ctx, self._rig.emulation
         room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c
         shown = [k for k, end in enumerate(ends) if end.visible]

@@ -26,7 +26,7 @@ def kept() -> Iterator[None]:
     """A module that adds to the run which this process keeps for all changes what others read."""
     yield
     if small_run := sys.modules.get("tests.bench.small_run"):
-        names = (
+        kept, written = (
             {
                 one.relative_to(run)
                 for one in run.rglob("*")
@@ -34,7 +34,7 @@ def kept() -> Iterator[None]:
             }
             for run in (small_run.KEPT, small_run.WRITTEN)
         )
-        assert next(names) == next(names)
+        assert kept == written
 
 
 @pytest.fixture(scope="session")

@@ -239,7 +239,7 @@ def _taken(
         window = np.concatenate([low, high - low])
         grey = np.asarray(mi.render(lit, sensor=sensor(which, size, window, 32, 0.5), seed=seed))
         grey = grey[..., :3].mean(axis=2)
-        exposure = exposure or draw_exposure(grey, rng)
+        exposure = exposure or _exposure_of(grey, rng)
         levels = np.full(size[::-1], np.median(grey) * exposure)
         levels[low[1] : high[1], low[0] : high[0]] = grey * exposure
         levels += rng.normal(0, 1, levels.shape) * np.sqrt(0.02 * levels + 0.6**2)
@@ -257,7 +257,7 @@ def _taken(
                   np.array(shares) > _SEEN)  # fmt: skip
 
 
-def draw_exposure(grey: Array, rng: np.random.Generator) -> float:
+def _exposure_of(grey: Array, rng: np.random.Generator) -> float:
     """What takes a bright part of the picture to a bright level."""
     return float(255 * rng.uniform(0.45, 0.95) / np.percentile(grey, rng.uniform(80, 97)))
 
