@@ -33,7 +33,7 @@ from scipy.special import bdtr, ndtr
 
 from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats, as_values, numbered
-from bench.scoring.matching import Counts, added
+from bench.scoring.matching import Counts, counted
 from bench.scoring.rates import Rate, crossing, exact_percent, fewest, percent
 from bench.scoring.scene import SceneScore
 from bench.scoring.sequential import least_mean, least_rate, shows_mean
@@ -617,6 +617,6 @@ def _row(situation: str | None, pairs: Sequence[ScenePair], confidence: float, s
         success=discordance(*([name not in failed for name in names] for failed in lost)),
         radial=differ(np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)),
         axes=(x, y, z),
-        old=added(pair.old.counts for pair in pairs),
-        new=added(pair.new.counts for pair in pairs),
+        old=counted(pair.old.match for pair in pairs),
+        new=counted(pair.new.match for pair in pairs),
     )

@@ -10,10 +10,10 @@ that is much nearer to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations, starmap
 from math import dist, inf, sqrt
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -56,15 +56,6 @@ class Counts:
         return Rate(self.matched, self.matched + self.false)
 
 
-_numbers = attrgetter(*(field.name for field in fields(Counts)))
-
-
-def added(parts: Iterable[Counts]) -> Counts:
-    """The sum of many, field by field; nothing of none."""
-    rows = [_numbers(part) for part in parts]
-    return Counts(*(sum(column) for column in zip(*rows, strict=True)))
-
-
 class Match(NamedTuple):
     """The assignment of one scene: (found, truth) indices in order of truth."""
 
@@ -79,14 +70,25 @@ class Match(NamedTuple):
     @property
     def counts(self) -> Counts:
         """The match as numbers that add."""
-        n, missed = len(self.pairs), len(self.missed)
-        return Counts(n + missed, self.hidden, n, missed, len(self.false), len(self.hidden_pairs))
+        return counted([self])
 
     @property
     def gospa_mm(self) -> float:
         """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats cost nothing."""
         outliers = len(self.missed) + len(self.false)
         return sqrt(sum(d * d for d in self.distances_mm) + self.gate_mm**2 / 2 * outliers)
+
+
+def counted(matches: Iterable[Match]) -> Counts:
+    """Many matches as numbers that add; nothing of none."""
+    matched = hidden = missed = false = on_hidden = 0
+    for one in matches:
+        matched += len(one.pairs)
+        hidden += one.hidden
+        missed += len(one.missed)
+        false += len(one.false)
+        on_hidden += len(one.hidden_pairs)
+    return Counts(matched + missed, hidden, matched, missed, false, on_hidden)
 
 
 def gate_mm(truth_mm: npt.ArrayLike) -> float:
@@ -116,6 +118,12 @@ def match(
     )
 
 
+@lru_cache(maxsize=256)
+def _pair(found: int, truth: int) -> tuple[int, int]:
+    """One object for equal pairs: 100 000 scores hold a handful of them."""
+    return found, truth
+
+
 def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Match:
     """`match` of points and flags that are checked already."""
     if not 0.0 < gate_mm < inf:
@@ -140,7 +148,7 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
     missed = []
     for j, visible in enumerate(seen):
         if j in answers:
-            (pairs if visible else hidden_pairs).append((answers[j], j))
+            (pairs if visible else hidden_pairs).append(_pair(answers[j], j))
         elif visible:
             missed.append(j)
     on_teats = set(answers.values())

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from bench.scoring.errors import ErrorSummary, Floats, as_points, summarise
 from bench.scoring.guard_band import acceptance_limit_mm, farthest_mm, refusal_limit_mm
 from bench.scoring.looks import FIRST, Looks, RateTest, allowed_leak
-from bench.scoring.matching import Counts, Match, added, as_flags, assign, gate_mm
+from bench.scoring.matching import Counts, Match, as_flags, assign, counted, gate_mm
 from bench.scoring.rates import Rate, pose_successes
 from bench.scoring.sample_size import failures_allowed, shown_error_mm
 
@@ -209,7 +209,7 @@ class Pool:
     @property
     def counts(self) -> Counts:
         """All teats and findings counted."""
-        return added(s.counts for s in self._measured)
+        return counted(s.match for s in self._measured)
 
     @property
     def frames(self) -> Rate:
