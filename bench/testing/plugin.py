@@ -41,7 +41,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", f'{MARK}("NAME"): decided by trials that the test records')
     # where several tests failed there are as many modules of one name
-    config.addinivalue_line("norecursedirs", glob.escape(str(config.option.found_scenes.resolve())))
+    found = config.option.found_scenes.resolve()
+    if any(found.glob("*/scene.toml")):  # others have tests in a folder of this name
+        config.addinivalue_line("norecursedirs", glob.escape(str(found)))
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -62,29 +64,45 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def _require(config: pytest.Config, items: Sequence[pytest.Item]) -> None:
-    """Keep which tests decide which requirement. Raises UsageError for what is none."""
+    """Keep which tests decide which requirement. Raises UsageError for what is none, but where no
+    test records a trial: others have marks of this name for their own.
+    """
+    ours = any("record_trial" in getattr(item, "fixturenames", ()) for item in items)
     required: dict[str, list[str]] = {}
+    properties: list[tuple[pytest.Item, str]] = []
     for item in items:
         for mark in item.iter_markers(MARK):
             if mark.kwargs or not mark.args or any(not isinstance(one, str) for one in mark.args):
+                if not ours:
+                    continue
                 takes = f'@pytest.mark.{MARK}("NAME") takes names of requirements'
                 raise pytest.UsageError(f"{item.nodeid}: {takes}")
             for name in mark.args:
                 required.setdefault(name, []).append(item.name)
-                item.user_properties.append((MARK, name))
+                properties.append((item, name))
     config.stash[_REQUIRED] = required
-    if required:
+    if not required:
+        return
+    try:
         _trials(config)
+    except pytest.UsageError:
+        if ours:
+            raise
+        required.clear()
+    else:
+        for item, name in properties:
+            item.user_properties.append((MARK, name))
 
 
 def _give_time(items: Sequence[pytest.Item]) -> None:
     """Hypothesis gives up no example for its time, looks for one fault at a time, and draws no
     hundred scenes more to explain it: in modules that import `bench.testing`, under a profile of
     its own. ``@given`` has its settings from the profile by then; they are changed on the test.
+    A hypothesis that can't name its profile is older than `bench.testing` takes: none draws scenes.
     """
     settings: Any = getattr(sys.modules.get("hypothesis"), "settings", None)
-    profile = settings.get_current_profile_name() if settings else ""
-    if profile.split("-with-")[0] not in OWN_PROFILES:
+    named = getattr(settings, "get_current_profile_name", None)
+    if named is None or named().split("-with-")[0] not in OWN_PROFILES:
         return
     usual, explain = settings(), sys.modules["hypothesis"].Phase.explain
     for item in items:

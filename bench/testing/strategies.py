@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import cache, lru_cache, partial
 from typing import Any, TypeVar
 
+from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
 
@@ -29,6 +30,11 @@ from bench.testing.scene import (
 )
 from instruments.world.objects import KINDS
 from textfiles.bounds import FROM_0
+
+if not hasattr(settings, "get_current_profile_name"):  # what the plug-in asks for
+    raise ImportError(
+        "bench.testing needs hypothesis 6.139 or newer: pip install --upgrade 'teatbench[testing]'"
+    )
 
 T = TypeVar("T", Teat, Pose, Object, Scene)
 P = TypeVar("P", Teat, Pose, Object)

@@ -164,6 +164,31 @@ def test_what_is_not_safe_ends_the_session(pytester: pytest.Pytester) -> None:
     result.stdout.fnmatch_lines("*NOT SAFE: its relay sticks*")
 
 
+def test_sessions_of_others_go_on_as_without_the_plug_in(pytester: pytest.Pytester) -> None:
+    """Marks of the same name, a folder ``found``, and a hypothesis that can't name its profile."""
+    program = """
+        import hypothesis
+        import pytest
+
+        @pytest.mark.requirement("REQ-42")
+        def test_traced():
+            pass
+
+        @pytest.mark.requirement(7, level="must")
+        @hypothesis.given(hypothesis.strategies.just(0))
+        def test_numbered(number):
+            with pytest.raises(ImportError, match=r"6\\.139 or newer: pip install"):
+                from bench.testing import scenes
+    """
+    pytester.makepyfile(**{"test_others": program, "found/test_theirs": "def test_it(): pass"})
+    pytester.makeconftest("import hypothesis\ndel hypothesis.settings.get_current_profile_name")
+    pytester.syspathinsert(Path(bench.__file__).parents[1])
+    result = pytester.runpytest_subprocess(*PLUGIN, "--junit-xml", "j.xml")
+    result.assert_outcomes(passed=3)
+    result.stdout.no_fnmatch_line("*requirements*")
+    assert "REQ-42" not in Path("j.xml").read_text(encoding="utf-8")
+
+
 def test_a_requirement_without_a_trial_is_said_not_to_be_decided(
     pytester: pytest.Pytester, rig: str
 ) -> None:
@@ -289,7 +314,7 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines("*did you mean*no false teat*")
     for wrong in ("", "(5)", '(name="no false teat")'):
-        marked = f"import pytest\n@pytest.mark.requirement{wrong}\ndef test_it(): pass\n"
+        marked = f"import pytest\n@pytest.mark.requirement{wrong}\ndef test_it(record_trial): pass\n"
         result = run(pytester, marked)
         assert result.ret == pytest.ExitCode.USAGE_ERROR
         takes = '*::test_it: @pytest.mark.requirement("NAME") takes names of*'
