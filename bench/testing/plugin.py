@@ -5,10 +5,11 @@ has teatbench loads it, so that nothing is imported before it is asked for.
 
 from __future__ import annotations
 
+import argparse
 import glob
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -22,26 +23,41 @@ if TYPE_CHECKING:
     from detector import Detector
 
 MARK = "requirement"
+_PREFIX = "teatbench"  # of the options' values, which no other plug-in has
 OWN_PROFILES = ("default", "ci")  # of hypothesis itself
 SHRINKING_S = 3600.0  # instead of hypothesis's 5 minutes by the clock, too few on a busy machine
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+OPTIONS: Mapping[str, tuple[Any, str]] = {
+    "--rig": ("emulated", "a rig by name or file (emulated)"),
+    "--detector": ("fused", "a detector by name or file (fused)"),
+    "--trial-runs": (Path("runs"), "where trials are kept (runs)"),
+    "--found-scenes": (Path("found"), "where found scenes are written (found)"),
+    "--trial-rules": (None, "recorded trials' requirements, a .toml file"),
+}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_load_initial_conftests(parser: pytest.Parser) -> Generator[None, None, None]:
+    """Options, after those of a project's own conftest.py: a name that it has stays its own."""
+    yield
     group = parser.getgroup("teatbench", "a bench, or its emulators")
-    for name, usual, what in (
-        ("--rig", "emulated", "a rig by name or file (emulated)"),
-        ("--detector", "fused", "a detector by name or file (fused)"),
-        ("--trial-runs", Path("runs"), "where trials are kept (runs)"),
-        ("--found-scenes", Path("found"), "where found scenes are written (found)"),
-    ):
-        group.addoption(name, type=type(usual), default=usual, help=what)
-    group.addoption("--trial-rules", type=Path, help="recorded trials' requirements, a .toml file")
+    for name, (usual, what) in OPTIONS.items():
+        how = {"type": str if isinstance(usual, str) else Path, "default": usual, "help": what}
+        shown = name.lstrip("-").replace("-", "_").upper()
+        with suppress(ValueError, argparse.ArgumentError):
+            group.addoption(name, dest=_PREFIX + name, metavar=shown, **how)
+
+
+def _given(config: pytest.Config, name: str) -> Any:
+    """What the option is, or usually is where the name is another's."""
+    return config.getoption(_PREFIX + name, OPTIONS[name][0])
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", f'{MARK}("NAME"): decided by trials that the test records')
     # where several tests failed there are as many modules of one name
-    found = config.option.found_scenes.resolve()
+    found = _given(config, "--found-scenes").resolve()
     if any(found.glob("*/scene.toml")):  # others have tests in a folder of this name
         config.addinivalue_line("norecursedirs", glob.escape(str(found)))
 
@@ -68,30 +84,30 @@ def _require(config: pytest.Config, items: Sequence[pytest.Item]) -> None:
     test records a trial: others have marks of this name for their own.
     """
     ours = any("record_trial" in getattr(item, "fixturenames", ()) for item in items)
+    marked = [(item, mark) for item in items for mark in item.iter_markers(MARK)]
+    wrong = [item for item, mark in marked if mark.kwargs or not _are_texts(mark.args)]
+    if wrong and ours:
+        takes = f'@pytest.mark.{MARK}("NAME") takes names of requirements'
+        raise pytest.UsageError(f"{wrong[0].nodeid}: {takes}")
+    named = [(item, name) for item, mark in marked if item not in wrong for name in mark.args]
     required: dict[str, list[str]] = {}
-    properties: list[tuple[pytest.Item, str]] = []
-    for item in items:
-        for mark in item.iter_markers(MARK):
-            if mark.kwargs or not mark.args or any(not isinstance(one, str) for one in mark.args):
-                if not ours:
-                    continue
-                takes = f'@pytest.mark.{MARK}("NAME") takes names of requirements'
-                raise pytest.UsageError(f"{item.nodeid}: {takes}")
-            for name in mark.args:
-                required.setdefault(name, []).append(item.name)
-                properties.append((item, name))
+    for item, name in named:
+        required.setdefault(name, []).append(item.name)
     config.stash[_REQUIRED] = required
-    if not required:
-        return
     try:
-        _trials(config)
+        if required:
+            _trials(config)
     except pytest.UsageError:
         if ours:
             raise
         required.clear()
-    else:
-        for item, name in properties:
-            item.user_properties.append((MARK, name))
+        return
+    for item, name in named:
+        item.user_properties.append((MARK, name))
+
+
+def _are_texts(args: Sequence[object]) -> bool:
+    return bool(args) and all(isinstance(one, str) for one in args)
 
 
 def _give_time(items: Sequence[pytest.Item]) -> None:
@@ -144,10 +160,11 @@ def _trials(config: pytest.Config) -> TrialsOfTests:
     if _TRIALS not in config.stash:
         from bench.testing.trials import TrialsOfTests
 
-        given = config.option
+        names = ("--rig", "--detector", "--trial-runs", "--trial-rules")
+        rig, detector, runs, rules = (_given(config, name) for name in names)
+        required = config.stash[_REQUIRED]
         try:
-            where = given.rig, given.detector, given.trial_runs, given.trial_rules
-            config.stash[_TRIALS] = TrialsOfTests(*where, config.stash[_REQUIRED])
+            config.stash[_TRIALS] = TrialsOfTests(rig, detector, runs, rules, required)
         except bench.ConfigError as error:
             raise pytest.UsageError(str(error)) from error
     return config.stash[_TRIALS]
@@ -168,7 +185,7 @@ def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenR
 
     config = request.config
     try:
-        loaded = bench.load_rig(config.option.rig)
+        loaded = bench.load_rig(_given(config, "--rig"))
     except bench.ConfigError as error:
         _refuse(config, error, 4)
     with ExitStack() as stack:
@@ -235,7 +252,7 @@ def detector(request: pytest.FixtureRequest) -> Iterator[Detector]:
     """The detector of ``--detector``; its process lives as long as the session."""
     with ExitStack() as stack:
         try:
-            one = stack.enter_context(bench.open_detector(request.config.option.detector))
+            one = stack.enter_context(bench.open_detector(_given(request.config, "--detector")))
         except bench.ConfigError as error:
             _refuse(request.config, error, 4)
         yield one
@@ -286,7 +303,9 @@ def pytest_runtest_makereport(
 
         text = f"{error}\n{error.neighbourhood()}\n\n{error.lines()}"
         try:
-            folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
+            folder = write_found(
+                error, _given(item.config, "--found-scenes") / folder_name(item.name)
+            )
             text += f"\nPicture: {folder / 'scene.png'}"
             keep = f"teatbench campaign keep {in_command(folder)} --into recordings/kept"
             text += f"\nKeep it: {keep}"

@@ -165,14 +165,17 @@ def test_what_is_not_safe_ends_the_session(pytester: pytest.Pytester) -> None:
 
 
 def test_sessions_of_others_go_on_as_without_the_plug_in(pytester: pytest.Pytester) -> None:
-    """Marks of the same name, a folder ``found``, and a hypothesis that can't name its profile."""
+    """Marks and an option of the same name, a folder ``found``, and a hypothesis that can't name
+    its profile.
+    """
     program = """
         import hypothesis
         import pytest
 
         @pytest.mark.requirement("REQ-42")
-        def test_traced():
-            pass
+        def test_traced(request):
+            assert request.config.getoption("--detector") == 5
+            assert request.config.getoption("--rig") == "emulated"
 
         @pytest.mark.requirement(7, level="must")
         @hypothesis.given(hypothesis.strategies.just(0))
@@ -181,9 +184,16 @@ def test_sessions_of_others_go_on_as_without_the_plug_in(pytester: pytest.Pytest
                 from bench.testing import scenes
     """
     pytester.makepyfile(**{"test_others": program, "found/test_theirs": "def test_it(): pass"})
-    pytester.makeconftest("import hypothesis\ndel hypothesis.settings.get_current_profile_name")
+    conftest = """
+        import hypothesis
+        del hypothesis.settings.get_current_profile_name
+
+        def pytest_addoption(parser):
+            parser.addoption("--detector", type=int)
+    """
+    pytester.makeconftest(conftest)
     pytester.syspathinsert(Path(bench.__file__).parents[1])
-    result = pytester.runpytest_subprocess(*PLUGIN, "--junit-xml", "j.xml")
+    result = pytester.runpytest_subprocess(*PLUGIN, "--junit-xml", "j.xml", "--detector", "5")
     result.assert_outcomes(passed=3)
     result.stdout.no_fnmatch_line("*requirements*")
     assert "REQ-42" not in Path("j.xml").read_text(encoding="utf-8")
@@ -314,7 +324,9 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines("*did you mean*no false teat*")
     for wrong in ("", "(5)", '(name="no false teat")'):
-        marked = f"import pytest\n@pytest.mark.requirement{wrong}\ndef test_it(record_trial): pass\n"
+        marked = (
+            f"import pytest\n@pytest.mark.requirement{wrong}\ndef test_it(record_trial): pass\n"
+        )
         result = run(pytester, marked)
         assert result.ret == pytest.ExitCode.USAGE_ERROR
         takes = '*::test_it: @pytest.mark.requirement("NAME") takes names of*'
