@@ -16,6 +16,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import tomllib
 import zipfile
 from contextlib import closing
 from pathlib import Path
@@ -24,6 +25,7 @@ from typing import Any, Literal, cast, get_args, get_origin
 import numpy as np
 import pytest
 
+import _teatbench
 import bench
 import instruments
 from bench.arguments import _hints, fits, lent
@@ -88,19 +90,78 @@ def promised() -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("program", ["own.py", "test_own.py"])
-def test_a_file_that_hides_a_package_of_the_bench_is_named(program: str, tmp_path: Path) -> None:
-    hiding = tmp_path / "detector.py"
+HIDES_A_FILE = "{} hides teatbench's package {!r}: give that file another name"
+HIDES_A_FOLDER = "{} hides teatbench's package {!r}: give that folder another name"
+
+
+@pytest.mark.parametrize(
+    ("name", "program", "says"),
+    [
+        ("detector.py", "own.py", HIDES_A_FILE),
+        ("detector.py", "test_own.py", HIDES_A_FILE),
+        ("instruments/__init__.py", "own.py", HIDES_A_FOLDER),
+        ("instruments/__init__.py", "-m bench.cli check", HIDES_A_FOLDER),
+        ("reports.py", "-m bench.cli --version", HIDES_A_FILE),
+    ],
+)
+def test_what_hides_a_package_of_the_bench_is_named(
+    name: str, program: str, says: str, tmp_path: Path
+) -> None:
+    hiding = tmp_path / name
+    hiding.parent.mkdir(exist_ok=True)
     hiding.write_text("from detector.protocol import Detection\n", encoding="utf-8")
-    (tmp_path / program).write_text("from bench.testing import check\n", encoding="utf-8")
-    how = ("-m", "pytest", "-p", "no:cacheprovider") if program.startswith("test") else ()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, *how, program]
-    done = subprocess.run(
-        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    own = "from bench.testing import check\n"
+    for one in ("own.py", "test_own.py"):
+        (tmp_path / one).write_text(own, encoding="utf-8")
+    said = ran_in(tmp_path, program)
+    package = Path(name).parts[0].removesuffix(".py")
+    assert says.format(tmp_path / Path(name).parts[0], package) in said
+    assert "Traceback" not in said or "own.py" in program
+
+
+def test_a_session_of_a_project_with_a_file_of_that_name_goes_on(tmp_path: Path) -> None:
+    """Its file isn't even loaded, which may be a program."""
+    (tmp_path / "bench.py").write_text("raise SystemExit('it ran')\n", encoding="utf-8")
+    (tmp_path / "test_theirs.py").write_text("def test_it(): pass\n", encoding="utf-8")
+    (tmp_path / "conftest.py").write_text(
+        "import _teatbench\n"
+        "def pytest_configure(config): config.pluginmanager.register(_teatbench.plugin)\n",
+        encoding="utf-8",
     )
-    says = f"{hiding} hides teatbench's package 'detector': give that file another name"
-    assert says in done.stdout + done.stderr
+    said = ran_in(tmp_path, "test_theirs.py -p no:teatbench")
+    assert "1 passed" in said
+    assert f"teatbench's plug-in is left out: {tmp_path / 'bench.py'} hides" in said
+    given = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert given["entry-points"]["pytest11"] == {"teatbench": "_teatbench:plugin"}
+    assert given["scripts"] == {"teatbench": "_teatbench:main"}
+
+
+def test_files_that_pip_wrote_over_those_of_the_bench_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """InstrumentKit has a package `instruments` too."""
+    theirs = tmp_path / "instrumentkit-0.6.0.dist-info"
+    theirs.mkdir()
+    (theirs / "METADATA").write_text("Name: instrumentkit\nVersion: 0.6.0\n", encoding="utf-8")
+    (theirs / "RECORD").write_text("instruments/__init__.py,,\n", encoding="utf-8")
+    assert not _teatbench.installed_over()
+    monkeypatch.syspath_prepend(tmp_path)
+    says = "instrumentkit has files in teatbench's package 'instruments': give teatbench an"
+    assert _teatbench.installed_over().startswith(says)
+
+
+def ran_in(folder: Path, program: str) -> str:
+    """What Python says of a program, a module or tests, with the project on its path."""
+    how = ("-m", "pytest", "-p", "no:cacheprovider") if program.startswith("test") else ()
+    done = subprocess.run(
+        [sys.executable, *how, *program.split()],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout + done.stderr
 
 
 def test_names_and_signatures_are_as_they_were() -> None:
@@ -409,6 +470,7 @@ for line in sys.stdin:
 @pytest.mark.slow
 def test_the_wheel_has_types_pages_and_licences(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
+    assert "_teatbench.py" in names
     for package in ("bench", "detector", "instruments", "reports", "textfiles"):
         assert f"{package}/py.typed" in names
     pages = {f"bench/docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}

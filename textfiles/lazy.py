@@ -5,7 +5,6 @@
 from importlib import import_module
 from sys import modules
 
-PACKAGES = ("bench", "detector", "instruments", "reports", "textfiles")
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,7 +33,7 @@ def lazily(package: str, guard: str = "") -> "tuple[Callable[[str], Any], Callab
             return import_module(f"{package}.{name}")
         try:
             found = getattr(import_module(known[name]), name)
-        except ModuleNotFoundError as error:
+        except ImportError as error:
             _refuse_hidden(error)
             raise
         if guard:
@@ -45,12 +44,9 @@ def lazily(package: str, guard: str = "") -> "tuple[Callable[[str], Any], Callab
     return get, lambda: [*vars(modules[package]), *get("__all__")]
 
 
-def _refuse_hidden(error: ModuleNotFoundError) -> None:
-    """Raise ImportError where another's file has the name of one of the packages."""
-    from importlib.util import find_spec
+def _refuse_hidden(error: ImportError) -> None:
+    """Raise ImportError where another's file or package has the name of one of the packages."""
+    from _teatbench import hiding, installed_over
 
-    hidden = (error.name or "").partition(".")[0]
-    there = find_spec(hidden) if hidden in PACKAGES else None
-    if there and not there.submodule_search_locations:
-        why = f"hides teatbench's package {hidden!r}: give that file another name"
-        raise ImportError(f"{there.origin} {why}") from error
+    if why := hiding() or installed_over():
+        raise ImportError(why) from error

@@ -46,4 +46,6 @@ def _wait_no_longer(left: list[threading.Thread], code: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    from _teatbench import main as begun
+
+    sys.exit(begun())
