@@ -60,7 +60,7 @@ from bench.run.rows import write_facts
 from bench.run.trial import write_trial
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
-from bench.safety.signals import current, undisturbed
+from bench.safety.signals import current, in_own_thread, undisturbed
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
@@ -435,7 +435,10 @@ class OpenRig:
                 if opened and (guardian := opened[2]) and engine.bath_is_safe:
                     guardian.done()
         finally:
-            self._stack.close()
+            if engine and engine.mistaken:
+                in_own_thread(self._stack.close)
+            else:
+                self._stack.close()
 
 
 @contextmanager
