@@ -25,8 +25,8 @@ from bench.run.context import LOOK_S, RunContext
 from bench.run.estimate import TimeEstimate
 from bench.run.events import EVENT, FAILURES, NOT_SAFE, RunState
 from bench.run.interruptions import Recovery, Requests
-from bench.run.lock import Reserve
 from bench.run.recordings import Recorder
+from bench.run.reserve import Reserve
 from bench.run.resume import RehearsedStore, ResumePoint
 from bench.run.rows import write_arm_facts
 from bench.run.trial import Attempts, TrialRun, choose_truth

@@ -34,6 +34,7 @@ from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.hand_over import free_bath
 from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
+from bench.rig.lock import lock_path, locked
 from bench.rig.model import Rig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import is_emulated
@@ -44,7 +45,6 @@ from bench.run.estimate import TimeEstimate, needs, read_durations, refuse_no_ro
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
 from bench.run.live import Live
-from bench.run.lock import lock_path, locked
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import (

@@ -145,7 +145,6 @@ def _refuse(config: pytest.Config, why: object, code: int) -> NoReturn:
 @pytest.fixture(scope="session")
 def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenRig]]:
     """Opens the rig: a real one once a session, and alone."""
-    from bench.run.lock import lock_path, locked
     from instruments import InstrumentError
 
     config = request.config
@@ -160,9 +159,8 @@ def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenR
             if kept:
                 return kept[0]
             try:
-                # of what can't be opened nothing stays, its lock neither
+                # of what can't be opened nothing stays
                 with ExitStack() as fresh:
-                    fresh.enter_context(locked(lock_path(loaded), "pytest", lambda _: None))
                     rig = fresh.enter_context(bench.open_rig(loaded))
                     rig.home()
                     stack.push(fresh.pop_all())

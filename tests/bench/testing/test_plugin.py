@@ -23,7 +23,7 @@ import bench.testing.found
 import bench.testing.trials
 from bench.results.verdicts import judge, stored_rules
 from bench.rig.loading import load_rig
-from bench.run.lock import lock_path, locked
+from bench.rig.lock import lock_path, locked
 from bench.testing import Scene, Teat
 from bench.testing.found import folder_name
 from bench.testing.trials import TrialsOfTests
