@@ -111,8 +111,11 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     engine: Any = sys.modules.get("hypothesis.internal.conjecture.engine")
     if engine is None or not _draws_scenes(getattr(item, "module", None)):
         return (yield)
+    from bench.testing import checking
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(engine, "MAX_SHRINKING_SECONDS", SHRINKING_S, raising=False)
+        patch.setattr(checking, "late", {})
         return (yield)
 
 

@@ -118,6 +118,11 @@ def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None
     with pytest.raises(bench.ConfigError, match=r"^truth: this shot has none"):
         bench.score(answer, shot)
     assert bench.score(answer, []).counts.visible == 0
+    ready = """print('{"ready": true}', flush=True); import time; time.sleep(30)"""
+    (tmp_path / "late.py").write_text(ready, encoding="utf-8")
+    with bench.open_detector(command) as opened:
+        answer = bench.detect(opened, shot, timeout_s=2.0)
+    assert (answer.outcome, answer.seconds < 10.0) == (Outcome.TIMEOUT, True)
 
 
 OPENS = "import bench\nwith bench.program(''), bench.open_rig('lab.toml', ('bath',)): print('open')"
