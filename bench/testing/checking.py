@@ -131,7 +131,7 @@ def check(
     of an object). In a test of hypothesis the error is also what its search maximises. Raises
     SceneFailedError, and ConfigError for a scene that can't be drawn.
     """
-    hypothesis = sys.modules.get("hypothesis")
+    hypothesis: Any = sys.modules.get("hypothesis")
     searched = hypothesis and hypothesis.currently_in_test_context()
     if searched and late and scene not in late:
         hypothesis.reject()  # a simpler scene may take as long again
