@@ -140,11 +140,11 @@ from bench.rig.live_page import LivePage as LivePage
 from bench.rig.live_page import live_page as live_page
 from bench.rig.loading import LoadedRig as LoadedRig
 from bench.rig.loading import find_board as find_board
+from bench.rig.lock import RigInUseError as RigInUseError
 from bench.rig.opening import BringUpError as BringUpError
 from bench.rig.scenes import record_scenes as record_scenes
 from bench.rig.scenes import write_sheet as write_sheet
 from bench.run.detections import detect_recording as detect_recording
-from bench.run.lock import RigInUseError as RigInUseError
 from bench.safety.interlocks import InterlockTrip as InterlockTrip
 from bench.safety.latch import LatchedError as LatchedError
 from bench.safety.latch import latched as latched

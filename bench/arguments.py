@@ -64,7 +64,10 @@ class GuardedProxy:
     """
 
     def __init__(self, of: Any, given: Callable[[], object]) -> None:
-        self._of, self._given = of, given
+        vars(self).update(_of=of, _given=given)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        setattr(self._of, name, value)
 
     __class__ = property(lambda self: type(self._of))
 

@@ -17,6 +17,7 @@ from bench.rig.devices import Devices
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.leaving import to_stderr
 from bench.rig.loading import LoadedRig
+from bench.rig.lock import lock_path, locked
 from bench.rig.opening import ALL, open_instruments
 from bench.safety.bath_monitor import BathMonitor, SafeAtOnce
 from bench.safety.interlocks import Interlocks
@@ -344,21 +345,28 @@ def open_rig(
 ) -> Iterator[OpenRig]:
     """Open a rig's ``instruments`` (of arm, bath, stage, operator, cameras). What was made to heat
     or to move is made safe at the end, however that comes, and by a guardian where the process
-    dies. ``leave_running``: it goes on. Raises ConfigError, BringUpError, NotSafeError.
+    dies. ``leave_running``: it goes on. A real rig's arm, bath and stage are this block's alone, as
+    a run's. Raises ConfigError, RigInUseError, BringUpError, NotSafeError.
     """
     loaded = load_rig(rig)
     check_within(FROM_0, seed=seed)
     if unknown := [name for name in several("instruments", instruments) if name not in ALL]:
         raise ConfigError.plain(f"no instrument {unknown[0]!r} (there are: {', '.join(ALL)})")
-    with open_instruments(
-        loaded,
-        tuple(instruments),
-        seed=seed,
-        realtime=realtime,
-        leave_running=leave_running,
-        capture=capture,
-        warn=warn,
-    ) as devices:
+    # cameras and operators are nobody else's anyhow
+    has_alone = {"arm", "bath", "stage"} & {*instruments}
+    lock = lock_path(loaded) if has_alone else None
+    with (
+        locked(lock, "open_rig", warn),
+        open_instruments(
+            loaded,
+            tuple(instruments),
+            seed=seed,
+            realtime=realtime,
+            leave_running=leave_running,
+            capture=capture,
+            warn=warn,
+        ) as devices,
+    ):
         opened = OpenRig(loaded, devices, warn)
         try:
             yield cast(OpenRig, GuardedProxy(opened, lambda: opened.devices))

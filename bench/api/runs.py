@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
 
@@ -25,6 +26,7 @@ from bench.rig.loading import LoadedRig, shipped
 from bench.run import estimate
 from bench.run.events import Progress
 from bench.run.resume import ASKED, files_of
+from bench.safety.signals import in_own_thread
 from bench.script.model import TRIALS, LoadedScript, find_script
 from bench.script.model import load_script as load_script_file
 from detector.protocol import Detector
@@ -80,8 +82,10 @@ class _Parts:
 
     def report(self, folder: Path, damage: tuple[str, ...] = ()) -> Reported:
         from bench.report.page import write_run_report
+        from bench.run.engine import TRACEBACK
 
-        return write_run_report(folder, (), damage, self._parts)
+        write = partial(write_run_report, folder, (), damage, self._parts)
+        return in_own_thread(write) if (folder / TRACEBACK).is_file() else write()
 
 
 def run_script(

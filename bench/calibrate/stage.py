@@ -9,6 +9,7 @@ from math import hypot
 
 from bench.config import ConfigError, check_within
 from bench.rig.loading import AnyRig, any_rig
+from bench.rig.lock import lock_path, locked
 from bench.rig.opening import open_instruments
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
@@ -58,7 +59,10 @@ def calibrate_stage(
         raise ConfigError.plain(
             f"`at_mm`: {plural(len(poses), 'position')}; three or more are needed, not on a line"
         )
-    with open_instruments(rig, seed=seed, capture=capture, warn=say) as devices:
+    with (
+        locked(lock_path(rig), "calibrate stage", say),
+        open_instruments(rig, seed=seed, capture=capture, warn=say) as devices,
+    ):
         stage = devices.stage
         if stage is None:
             raise ValueError("the stage is in the rig file, and is not open")

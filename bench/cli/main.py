@@ -55,7 +55,7 @@ LEAST_BYTES = 512 << 20
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
     _set_up_libraries(alone=arguments is None)
-    given = argparse.Namespace(left="nothing was begun")
+    given = argparse.Namespace(left="nothing was begun", kept="")
     if None in (sys.stdin, sys.stdout, sys.stderr):  # closed, as by a scheduler (`>&-`)
         _take_low_descriptors()
     streams = sys.stdout, sys.stderr
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if gone := next((one for one in asked if one in commands.table("removed")), None):
                 instead = commands.table("removed")[gone]
                 return complain(f"'{gone}' went: {instead}", CODES.wrong_use)
-            given = top.parse_args(arguments)
+            given = top.parse_args(arguments, given)
             if (limit := _address_limit()) < LEAST_BYTES:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return complain(f"interrupted: {given.left}.", CODES.fault)
     except Exception as error:
-        return _unforeseen(error)
+        return _unforeseen(error, given.kept)
     finally:
         sys.stdout, sys.stderr = streams
 
@@ -156,6 +156,10 @@ def _run(given: argparse.Namespace) -> int:
         return complain(_with_cure(why, error), CODES.fault)
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         return CODES.met
+    except BaseException as error:
+        if isinstance(error, Exception | KeyboardInterrupt):
+            raise
+        return _unforeseen(error, given.kept)  # of a driver's thread: SystemExit is no verdict
 
 
 def _say_next(given: argparse.Namespace, code: int) -> None:
@@ -198,12 +202,15 @@ def _is_of_memory(error: BaseException) -> bool:
     return cause is not None and _is_of_memory(cause)
 
 
-def _unforeseen(error: Exception) -> int:
+def _unforeseen(error: BaseException, kept: str) -> int:
     """Of the system amid whatever the command did, or a mistake of ours: its exit code must not
-    look like a requirement that isn't met, which Python's own would.
+    look like a requirement that isn't met, which Python's own would. ``kept``: what is there all
+    the same.
     """
+    stays = f"; {kept}" if kept else ""
     if _is_of_memory(error):
-        return complain(f"out of memory: {LIMIT}, or ask for less at once ({error})", CODES.fault)
+        what = f"out of memory: {LIMIT}, or ask for less at once ({error})"
+        return complain(f"{what}{stays}", CODES.fault)
     if isinstance(error, OSError):
         from bench.files import is_unreadable
 
@@ -217,7 +224,7 @@ def _unforeseen(error: Exception) -> int:
         said = f"{text}.{hint}" if error.errno else str(error)
         return complain(_with_cure(said, error), CODES.fault)
     traceback.print_exception(error)
-    return complain("internal error; please report the traceback above", CODES.fault)
+    return complain(f"internal error; please report the traceback above{stays}", CODES.fault)
 
 
 class Parser(argparse.ArgumentParser):

@@ -62,7 +62,7 @@ def _followed(
         progress = Events(shown, lines)
 
         def begun(text: str) -> None:
-            given.left = REPORTING
+            given.left = given.kept = REPORTING
             shown.say(text)
 
         with _words(given, rig, progress) as word:

@@ -14,10 +14,10 @@ from itertools import combinations, product
 import numpy as np
 
 from bench.rig.loading import LoadedRig
+from bench.rig.lock import RigInUseError, lock_path, locked
 from bench.rig.opening import open_instruments
 from bench.rig.urls import EMULATED
 from bench.run.estimate import Forecast, carry_touches
-from bench.run.lock import RigInUseError, lock_path, locked
 from bench.scoring.errors import Floats
 from bench.script.model import FIRST, LoadedScript
 from bench.script.planned_trials import PlannedTrial, pose_text, shared

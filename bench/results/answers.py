@@ -61,8 +61,8 @@ def checked(detection: Any, calibration: Calibration | None = None) -> Detection
     whole = isinstance(hidden, int | np.integer) and not isinstance(hidden, bool)
     if not whole or not 0 <= hidden <= MOST_TEATS:
         raise DetectionFailure(
-            f"its answer counts {hidden!r} teats as hidden; a whole number from 0 to {MOST_TEATS}"
-            " is asked for"
+            f"its answer counts {_short(hidden)} teats as hidden; a whole number from 0 to"
+            f" {MOST_TEATS} is asked for"
         )
     if not isinstance(teats, tuple | list):
         raise DetectionFailure(

@@ -25,13 +25,13 @@ from bench.run.context import LOOK_S, RunContext
 from bench.run.estimate import TimeEstimate
 from bench.run.events import EVENT, FAILURES, NOT_SAFE, RunState
 from bench.run.interruptions import Recovery, Requests
-from bench.run.lock import Reserve
 from bench.run.recordings import Recorder
+from bench.run.reserve import Reserve
 from bench.run.resume import RehearsedStore, ResumePoint
 from bench.run.rows import write_arm_facts
 from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
-from bench.safety.signals import current, undisturbed
+from bench.safety.signals import current, in_own_thread, undisturbed
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_text
 from detector.protocol import Detector
@@ -99,6 +99,7 @@ class Engine:
         self._attempts.done = len(left.done) if left and goes_on else 0
         self._reserve = Reserve(store.folder)
         self._ended = False
+        self.mistaken = False  # ended by what may be raised again, by a thread of a driver
         self._checked: dict[str, Any] | None = None  # the arm, before the trials of this session
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.under_test = [one.name for one in self.detectors]
@@ -124,7 +125,8 @@ class Engine:
             ending = RunState.FINISHED
         finally:  # no request is raised from here on: each way in has called hold
             with undisturbed():
-                ending = self._finish(ending)
+                finish = partial(self._finish, ending)
+                ending = in_own_thread(finish) if self.mistaken else finish()
             exits.let_go()
             exits.at_close = self.context.trips.heater_off if self.is_warm else None
         return ending
@@ -325,7 +327,7 @@ class Engine:
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
-            said = named(cause)
+            said, self.mistaken = named(cause), True
             self._write_down("fault", f"{MISTAKE}: {said}")
             if isinstance(cause, MemoryError) or not isinstance(cause, FAILURES):
                 raise cause

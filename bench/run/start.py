@@ -34,6 +34,7 @@ from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.hand_over import free_bath
 from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
+from bench.rig.lock import lock_path, locked
 from bench.rig.model import Rig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import is_emulated
@@ -44,7 +45,6 @@ from bench.run.estimate import TimeEstimate, needs, read_durations, refuse_no_ro
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
 from bench.run.live import Live
-from bench.run.lock import lock_path, locked
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import (
@@ -60,7 +60,7 @@ from bench.run.rows import write_facts
 from bench.run.trial import write_trial
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
-from bench.safety.signals import current, undisturbed
+from bench.safety.signals import current, in_own_thread, undisturbed
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
@@ -435,7 +435,10 @@ class OpenRig:
                 if opened and (guardian := opened[2]) and engine.bath_is_safe:
                     guardian.done()
         finally:
-            self._stack.close()
+            if engine and engine.mistaken:
+                in_own_thread(self._stack.close)
+            else:
+                self._stack.close()
 
 
 @contextmanager

@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 from instruments.clock import UNBROKEN, stopwatch_s, unbroken
 
@@ -70,7 +70,11 @@ ASKED_BY = {
 ON_THE_WAY_S = 5.0
 AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
 MOMENT_S = 0.001
+LOOK_S = 0.1
 CLOSE_S = 4.5  # Windows ends a program 5 s after its console was closed, whatever it does
+
+
+T = TypeVar("T")
 
 
 class Interrupted(KeyboardInterrupt):
@@ -207,6 +211,40 @@ def undisturbed() -> Iterator[None]:
         yield
     finally:
         exits.let_go()
+
+
+def in_own_thread(work: Callable[[], T]) -> T:
+    """``work`` in a thread of its own, for what has to be done although a thread of a driver goes
+    on raising in this one. A request to end raises `Interrupted` here.
+    """
+    given, raised = list[T](), list[BaseException]()
+    begins, working = threading.Lock(), threading.Lock()
+    begins.acquire()
+    working.acquire()
+
+    def run() -> None:
+        begins.acquire()
+        try:
+            given.append(work())
+        except BaseException as error:
+            raised.append(error)
+        working.release()
+
+    threading.Thread(target=run, name="the end of a run", daemon=True).start()
+    while True:
+        try:
+            if given or raised:
+                break
+            if begins.locked():
+                begins.release()
+            working.acquire(timeout=LOOK_S)
+        except Interrupted:
+            raise
+        except BaseException:  # noqa: S112 - its first one is in the record
+            continue
+    if raised:
+        raise raised[0]
+    return given[0]
 
 
 def _must_go_on(frame: FrameType | None) -> bool:

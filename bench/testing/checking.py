@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import atexit
 import importlib
+import math
 import sys
+import threading
 from collections.abc import Hashable, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -17,16 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.api.shots import Shot, load_rig, open_detector, score
-from bench.config import ConfigError
+from bench.config import ConfigError, check_within
 from bench.results.answers import LIMIT_MM, Answer, examine, name_of
 from bench.rig.scenes import rig_renderer
 from bench.scoring.scene import SceneScore
 from bench.testing.scene import Scene
-from detector.protocol import Detector, Outcome
+from detector.protocol import Detection, Detector, DetectorProcess, Outcome, Teat
+from textfiles.bounds import ABOVE_0
 
 GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
 MOST_KEPT = 4096
-PATIENCE_S = 600.0
+PATIENCE_S = 600.0  # of an object that gives no answer
 NEIGHBOURS = 24
 GREEN, RED = (60, 180, 60), (40, 40, 230)  # truth, answer
 WIDTH_PX = 640  # of each picture
@@ -36,12 +40,13 @@ WIDTH_PX = 640  # of each picture
 class SceneResult:
     """What a detector made of a scene. ``grade_mm``: the largest error, or stated deviation; of a
     failure above the limit, `GATE_MM` a lost or invented teat. ``fault``: a clause, empty for a
-    success.
+    success; ``late``: no answer came in time.
     """
 
     score: SceneScore
     grade_mm: float
     fault: str
+    late: bool = False
 
 
 Look = SceneResult  # its name in earlier releases, for one more
@@ -56,6 +61,8 @@ class Neighbourhood(NamedTuple):
     passing: Scene | None
 
     def __str__(self) -> str:
+        if not self.of:
+            return "No simpler scene was looked for, and none beside it: each may take as long."
         sample = "" if self.of == self.there else f" looked at, a sample of {self.there},"
         passes = f"; {self.passing!r} passes" if self.passing else ""
         return f"{self.failing} of {self.of} scenes one step away{sample} fail too{passes}."
@@ -73,9 +80,11 @@ class SceneFailedError(AssertionError):
 
     def neighbourhood(self) -> Neighbourhood:
         """How many of the scenes one step away fail too: of `NEIGHBOURS` at most, those that are
-        plainer first, and evenly of the others.
+        plainer first, and evenly of the others; none where an answer is late.
         """
         looks, near = list[tuple[Scene, SceneResult]](), self.scene.neighbours()
+        if self.look.late:
+            return Neighbourhood(0, 0, len(near), None)
         plainer = [one for one in near if one.differences() < self.scene.differences()]
         others = [one for one in near if one not in plainer]
         each = -(-len(others) // max(1, NEIGHBOURS - len(plainer))) or 1
@@ -91,7 +100,8 @@ class SceneFailedError(AssertionError):
         red crosses the answers.
         """
         shot = self.scene.draw(self.rig)
-        return marked(shot, asked(self.detector, shot), self.rig)
+        answer = () if self.look.late else asked(self.detector, shot).detection.teats
+        return marked(shot, answer, self.rig)
 
     def lines(self) -> str:
         """A test of this scene alone, to be pasted. An object is imported by the name that a
@@ -114,14 +124,23 @@ def check(
     limit_mm: float = LIMIT_MM,
     *,
     rig: str | Path = "emulated",
+    timeout_s: float | None = None,
 ) -> SceneScore:
     """Draw a scene, ask ``detector`` (a name, a file, ``exec:COMMAND``, or one in Python) and score
-    its answer. In a test of hypothesis the error is also what its search maximises. Raises
+    its answer, which counts as none after ``timeout_s`` (None: a program's own limits; ten minutes
+    of an object). In a test of hypothesis the error is also what its search maximises. Raises
     SceneFailedError, and ConfigError for a scene that can't be drawn.
     """
-    found = look(detector, scene, limit_mm, rig=str(rig))
-    hypothesis = sys.modules.get("hypothesis")
-    if hypothesis and hypothesis.currently_in_test_context():
+    hypothesis: Any = sys.modules.get("hypothesis")
+    searched = hypothesis and hypothesis.currently_in_test_context()
+    if searched and late and scene not in late:
+        hypothesis.reject()  # a simpler scene may take as long again
+    found = (late or {}).get(scene) or look(
+        detector, scene, limit_mm, rig=str(rig), timeout_s=timeout_s
+    )
+    if late is not None and found.late:
+        late[scene] = found
+    if searched:
         errors = importlib.import_module("hypothesis.errors")
         with suppress(errors.InvalidArgument):  # a second scene in one example
             hypothesis.target(found.grade_mm, label=f"{name_of(detector)}, mm")
@@ -130,24 +149,37 @@ def check(
     return found.score
 
 
+# scenes without an answer in time, of one test: the plug-in for pytest tells tests apart
+late: dict[Scene, SceneResult] | None = None
+
+
 def look(
-    detector: str | Detector, scene: Scene, limit_mm: float = LIMIT_MM, *, rig: str = "emulated"
+    detector: str | Detector,
+    scene: Scene,
+    limit_mm: float = LIMIT_MM,
+    *,
+    rig: str = "emulated",
+    timeout_s: float | None = None,
 ) -> SceneResult:
     """As `check`, without raising for a failure of the detector."""
+    check_within(ABOVE_0, timeout_s=timeout_s)
     looked = _look if isinstance(detector, Hashable) else _look.__wrapped__
-    return looked(cast(Any, detector), scene, limit_mm, rig)
+    return looked(cast(Any, detector), scene, limit_mm, rig, timeout_s)
 
 
 @lru_cache(maxsize=MOST_KEPT)
-def _look(detector: Any, scene: Scene, limit_mm: float, rig: str) -> SceneResult:
+def _look(
+    detector: Any, scene: Scene, limit_mm: float, rig: str, timeout_s: float | None
+) -> SceneResult:
     shot = scene.draw(rig)
-    answer = asked(detector, shot)
+    answer = asked(detector, shot, timeout_s)
     result = score(answer, shot, limit_mm=limit_mm)
     worst = max(result.radial_mm, default=0.0)
     if not result.success:
         lost = result.counts.missed + result.counts.false or int(not result.radial_mm)
         grade = limit_mm + GATE_MM * lost + max(0.0, worst - limit_mm)
-        return SceneResult(result, grade, _fault(answer, result, worst, limit_mm))
+        too_late = answer.outcome is Outcome.TIMEOUT
+        return SceneResult(result, grade, _fault(answer, result, worst, limit_mm), too_late)
     spread = [one.covariance_mm2 for one in answer.detection.teats]
     sd = max((float(np.sqrt(np.trace(one))) for one in spread if one is not None), default=0.0)
     return SceneResult(result, min(limit_mm, max(worst, sd)), "")
@@ -164,10 +196,32 @@ def _fault(answer: Answer, result: SceneScore, worst_mm: float, limit_mm: float)
     return " and ".join(parts)
 
 
-def asked(detector: str | Detector, shot: Shot) -> Answer:
-    """The answer of a detector whose process goes on to live."""
+def asked(detector: str | Detector, shot: Shot, timeout_s: float | None = None) -> Answer:
+    """The answer of a detector whose process goes on to live. An object that hangs is left behind
+    in its thread.
+    """
     one = _named(detector) if isinstance(detector, str) else detector
-    return examine(one, shot.frames, shot.calibration, timeout_s=PATIENCE_S)
+    limit_s = timeout_s or PATIENCE_S
+    if isinstance(one, DetectorProcess):
+        one.most_s = timeout_s or math.inf
+        return examine(one, shot.frames, shot.calibration, timeout_s=limit_s)
+    job: Future[Answer] = Future()
+
+    def ask() -> None:
+        try:
+            job.set_result(examine(one, shot.frames, shot.calibration, timeout_s=limit_s))
+        except BaseException as error:
+            job.set_exception(error)
+
+    printed = sys.stdout  # which an answer changes while it is awaited
+    threading.Thread(target=ask, name=f"{name_of(one)}, asked", daemon=True).start()
+    try:
+        return job.result(limit_s)
+    except TimeoutError:
+        nothing = Detection(reason=f"there was none within {limit_s:g} s")
+        return Answer(name_of(one), nothing, limit_s, Outcome.TIMEOUT)
+    finally:
+        sys.stdout = printed
 
 
 def _as_python(detector: str | Detector) -> tuple[str, str]:
@@ -191,12 +245,12 @@ _open = ExitStack()
 atexit.register(_open.close)
 
 
-def marked(shot: Shot, answer: Answer, rig: str) -> NDArray[np.uint8]:
+def marked(shot: Shot, answers: Sequence[Teat], rig: str) -> NDArray[np.uint8]:
     """A shot's pictures with truth and answers, beside each other, (h, w, 3)."""
     renderer = rig_renderer(load_rig(rig), 1)
     frames = shot.frames
     true = np.array([row.xyz_mm for row in shot.truth]).reshape(-1, 3)
-    found = np.array([one.world_mm for one in answer.detection.teats]).reshape(-1, 3)
+    found = np.array([one.world_mm for one in answers]).reshape(-1, 3)
     parts = []
     for camera, grey in zip(renderer.cameras, (frames.left, frames.right), strict=False):
         picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)

@@ -145,8 +145,11 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     engine: Any = sys.modules.get("hypothesis.internal.conjecture.engine")
     if engine is None or not _draws_scenes(getattr(item, "module", None)):
         return (yield)
+    from bench.testing import checking
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(engine, "MAX_SHRINKING_SECONDS", SHRINKING_S, raising=False)
+        patch.setattr(checking, "late", {})
         return (yield)
 
 
@@ -180,7 +183,6 @@ def _refuse(config: pytest.Config, why: object, code: int) -> NoReturn:
 @pytest.fixture(scope="session")
 def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenRig]]:
     """Opens the rig: a real one once a session, and alone."""
-    from bench.run.lock import lock_path, locked
     from instruments import InstrumentError
 
     config = request.config
@@ -195,9 +197,8 @@ def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenR
             if kept:
                 return kept[0]
             try:
-                # of what can't be opened nothing stays, its lock neither
+                # of what can't be opened nothing stays
                 with ExitStack() as fresh:
-                    fresh.enter_context(locked(lock_path(loaded), "pytest", lambda _: None))
                     rig = fresh.enter_context(bench.open_rig(loaded))
                     rig.home()
                     stack.push(fresh.pop_all())

@@ -61,6 +61,7 @@ class Watch:
         self.cuts = self.interruptions = 0
         self.identity = ""
         self.faults: list[str] = []
+        self.made: list[Any] = []  # kept: Python closes the port of what nobody has any more
 
     @property
     def opened(self) -> tuple[int, int]:
@@ -157,6 +158,7 @@ class WatchedPlugin:
     def make(self, clock: Clock) -> WatchedDriver:
         with self.watch.over("opening", self.watch.opened):
             driver = self.watch.plugged.make(clock)
+        self.watch.made.append(driver)
         return WatchedDriver(driver, self.watch)
 
 

@@ -1,4 +1,4 @@
-"""A Zaber stage over its maker's library, in real time.
+"""A Zaber stage over its maker's library.
 
     pip install zaber-motion
     [stage]
@@ -10,10 +10,11 @@ In pyproject.toml of your package:
     [project.entry-points."teatbench.stages"]
     zaber = "zaber_stage:ZaberStage"
 
-This library opens ports by itself, and its time-outs are real seconds: the bench's own driver
-(``dialect = "zaber"``) stays for rehearsals and seeded runs. Firmware 7.25 or newer, whose moves
-have a speed of their own. Keys: ``url`` (a serial port, or ``tcp://host:port``); ``devices`` in the
-order of ``axes``, each an address or ``address.axis``; ``microsteps`` per mm, per degree of A.
+This library opens ports by itself, so that a capture has no bytes of this stage. On an emulator in
+virtual time it takes no real time, as no call here waits for an end. Firmware 7.25 or newer, whose
+moves have a speed of their own. Keys: ``url`` (a serial port, or ``tcp://host:port``); ``devices``
+in the order of ``axes``, each an address or ``address.axis``; ``microsteps`` per mm, per degree of
+A.
 """
 
 from __future__ import annotations

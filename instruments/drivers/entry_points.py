@@ -182,8 +182,9 @@ def by_ctrl_c(error: BaseException) -> bool:
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Some libraries change what the whole process has: the working folder, by which files of a run
-    are named, what Ctrl-C does, where modules are found, what is an error to NumPy, and what a
-    thread does with its errors, without which none starts.
+    are named, who may read new files, what Ctrl-C does, where modules are found, what is an error
+    to NumPy, and what a thread does with its errors, without which none starts. A copy of the
+    process that one forks ends where it would come back.
     """
     given: Any = threading.excepthook, sys.excepthook  # None, by a thread of a driver's
     hooks = given[0] or threading.__excepthook__, given[1] or sys.__excepthook__
@@ -192,10 +193,15 @@ def undisturbed() -> Iterator[None]:
     with suppress(OSError):  # it may be gone
         folder = Path.cwd()
     handlers = {one: signal.getsignal(one) for one in ENDING}
+    process, mask = os.getpid(), os.umask(0o022)
+    os.umask(mask)
     try:
         with np.errstate():
             yield
     finally:
+        if os.getpid() != process:
+            os._exit(0)
+        os.umask(mask)
         threading.excepthook, sys.excepthook = hooks
         with suppress(OSError):
             os.chdir(folder)

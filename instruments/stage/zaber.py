@@ -5,8 +5,9 @@ checksum. Every reply carries the most serious warning flag: whatever is not kno
 costs the position. Positions are microsteps; what a microstep is, the rig file says. Source: the
 maker's ASCII protocol manual, firmware 6 and 7.
 
-The maker's library (`zaber-motion`) is not used here: it opens ports itself, beside our links and
-captures, and knows no clock but its own. It is the emulator's witness in the tests.
+The maker's library (`zaber-motion`) is not used here: it opens ports itself, so that a capture
+would have no bytes, and gives moves a speed of their own only from firmware 7.25 on. It is the
+emulator's witness in the tests, and docs/examples/zaber_stage.py is a driver over it.
 """
 
 from __future__ import annotations

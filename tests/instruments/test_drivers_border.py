@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import os
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -39,6 +40,7 @@ from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError
+from tests.conftest import ROOT
 from tests.waiting import PATIENCE_S
 
 
@@ -196,9 +198,11 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
     """In virtual time, where the bench handles signals; its words are cut, and can be printed."""
     made, here, path = driver("bath", "read()", None), Path.cwd(), [*dict.fromkeys(sys.path)]
     monkeypatch.setattr(sys, "path", [*path])
+    mask = os.umask(0o027)
 
     def odd(_: object) -> None:
         os.chdir(tmp_path)
+        os.umask(0o777)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         np.seterr(all="raise")
@@ -214,10 +218,41 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         assert _of_the_process() == before
     assert Path.cwd() == here
     assert sys.path == path
+    assert os.umask(mask) == 0o027
 
 
 def _of_the_process() -> tuple[object, ...]:
     return signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM), np.geterr()
+
+
+FORKS = """
+import os
+from instruments import BathState, VirtualClock
+from instruments.drivers.bath import PluggedBath
+from instruments.drivers.entry_points import Plugin
+
+class Forks:
+    identity, range_c, step_k, pump, comms_loss = {"model": "x"}, (15, 60), 0.1, "none", "hold"
+    def __init__(self, clock): pass
+    def close(self): pass
+    def standby(self): pass
+    def start(self, set_point_c): pass
+    def read(self):
+        if os.fork() == 0 and RAISES:
+            raise SystemExit
+        return BathState(20.0, False, 20.0)
+
+bath = PluggedBath(Plugin("forks", "pkg 1", Forks), VirtualClock())
+print(bath.read().temp_c, flush=True)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_copy_of_the_process_that_a_driver_forks_does_not_come_back(raises: bool) -> None:
+    command = [sys.executable, "-c", f"RAISES = {raises}\n{FORKS}"]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert (ended.stdout, ended.stderr) == ("20.0\n", "")
 
 
 @pytest.mark.parametrize("seconds", [float("inf"), 61.0])

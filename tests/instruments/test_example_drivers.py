@@ -401,7 +401,7 @@ ON_OUR_EMULATOR = """
 import json, sys, threading
 from bench.testing.conformance import conform
 from bench.testing.plugins import OnEmulator
-from instruments.clock import RealClock
+from instruments.clock import RealClock, VirtualClock, stopwatch_s
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError
@@ -437,12 +437,31 @@ one.close()
 refused(PluggedStage(stage.with_keys(microsteps="250"), clock, "XY").connect)
 listener.close()
 clock.close()
+
+def in_virtual_time():
+    global clock
+    clock = VirtualClock()
+    board = device()
+    listener = Listener(board, clock, lock=threading.RLock(), name="stage")
+    one = PluggedStage(stage.with_keys(url=listener.url), clock, "XY")
+    one.connect()
+    one.home()
+    for x_mm in (50.0, 1.0) * 6:  # at 10 mm/s
+        one.move_to(x_mm, 20.0, feed_mm_min=600.0)
+    one.close()
+    listener.close()
+    return clock.now(), board.position_mm().tolist()
+
+began_s = stopwatch_s()
+first, second = in_virtual_time(), in_virtual_time()
+print(first == second, round(first[0]), stopwatch_s() - began_s < first[0])
 """
 SAID = r"""\[59, 59\]
 LimitError .* no move before homing .*
 \[10.0, 20.0, .*\]
 DeviceError .* warning flags FS.*
-LimitError .* 2 devices and 1 microsteps .*"""
+LimitError .* 2 devices and 1 microsteps .*
+True 6\d True"""
 
 
 @pytest.mark.weekly

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -17,7 +18,7 @@ import pytest
 
 from bench.testing.plugins import check_driver
 from instruments import BathState, StageState
-from instruments.clock import VirtualClock
+from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.drivers.entry_points import Kind
 from tests.lab_drivers import importable, world_of_few_pixels
 
@@ -220,7 +221,9 @@ def _packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-def failed(name: str, broken: Make, last: str = "none") -> dict[str, str]:
+def failed(
+    name: str, broken: Make, last: str = "none", clock: Clock | None = None
+) -> dict[str, str]:
     """Why each check failed, up to the one that begins with ``last``."""
     kind, module = DRIVERS[name]
     there = import_module(module)
@@ -228,7 +231,7 @@ def failed(name: str, broken: Make, last: str = "none") -> dict[str, str]:
     said: dict[str, str] = {}
     # what is left of its generator closes what it has opened
     for one in check_driver(
-        broken(getattr(there, name)), kind, emulator=emulator, clock=VirtualClock()
+        broken(getattr(there, name)), kind, emulator=emulator, clock=clock or VirtualClock()
     ):
         if one.outcome != "passed":
             said[one.check] = one.why
@@ -249,6 +252,14 @@ def test_a_broken_promise_fails_its_check(name: str, broken: Make, check: str) -
     said = failed(name, broken, check)
     [why] = [why for one, why in said.items() if one.startswith(check)]
     assert not why.startswith(("it can't be opened", "cause as of")), said
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_port_that_is_left_to_python_to_close_is_seen_in_real_time() -> None:
+    with closing(RealClock()) as clock:
+        said = failed("Tank", method("close", nothing), "closes", clock)
+    assert [*said.values()] == ["its port is open though it was closed"]
+    gc.collect()
 
 
 @pytest.mark.parametrize("name", DRIVERS)

@@ -1,5 +1,6 @@
 """A rig from Python, as docs/api.md has it; wrong steps."""
 
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -117,3 +118,39 @@ def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None
     with pytest.raises(bench.ConfigError, match=r"^truth: this shot has none"):
         bench.score(answer, shot)
     assert bench.score(answer, []).counts.visible == 0
+    ready = """print('{"ready": true}', flush=True); import time; time.sleep(30)"""
+    (tmp_path / "late.py").write_text(ready, encoding="utf-8")
+    with bench.open_detector(command) as opened:
+        answer = bench.detect(opened, shot, timeout_s=2.0)
+    assert (answer.outcome, answer.seconds < 10.0) == (Outcome.TIMEOUT, True)
+
+
+OPENS = "import bench\nwith bench.program(''), bench.open_rig('lab.toml', ('bath',)): print('open')"
+
+
+@pytest.mark.slow
+def test_a_real_rig_that_is_open_is_nobody_elses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    other = [sys.executable, "-c", OPENS]
+    with bench.serve_rig("emulated") as served:
+        Path("lab.toml").write_text(served.rig_file(), encoding="utf-8")
+        with bench.open_rig("lab.toml", ("bath",)):
+            again = (
+                lambda: bench.open_rig("lab.toml").__enter__(),
+                lambda: bench.run_script("demo", "lab.toml"),
+                lambda: bench.calibrate_stage("lab.toml"),
+            )
+            for opens in again:
+                with pytest.raises(bench.RigInUseError, match=r"this process has it.*Leave the bl"):
+                    opens()
+            with bench.open_rig("lab.toml", ("cameras",)):  # which nobody else can have anyhow
+                pass
+            ended = subprocess.run(other, capture_output=True, text=True, check=False)
+            assert ended.returncode == 3
+            assert "teatbench: rig: another bench has it: pid " in ended.stderr
+            assert "open_rig. Wait for it to end" in ended.stderr
+        ended = subprocess.run(other, capture_output=True, text=True, check=False)
+        assert ended.stdout == "open\n", ended.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -176,3 +177,19 @@ def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
     seen = capsys.readouterr().err
     assert "ZeroDivisionError: a mistake" in seen
     assert seen.endswith("teatbench: internal error; please report the traceback above\n")
+
+
+@pytest.mark.parametrize("raised", [ZeroDivisionError(), SystemExit(), GeneratorExit()], ids=repr)
+def test_after_a_run_has_begun_a_mistake_leaves_it_and_says_what_writes_its_report(
+    raised: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def mistaken(*_: object, begun: Callable[[str], None], **__: object) -> None:
+        begun("Run folder: runs/one")
+        raise raised
+
+    monkeypatch.setattr("bench.run_queue", mistaken)
+    assert teatbench("run") == 3
+    said = " ".join(capsys.readouterr().err.split())
+    assert type(raised).__name__ in said
+    assert "internal error; please report the traceback above; the run is kept" in said
+    assert said.endswith("'teatbench report latest' writes it")

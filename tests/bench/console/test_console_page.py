@@ -22,7 +22,7 @@ from bench.record.schema import DATABASE
 from bench.record.state import State, run_lock
 from bench.results.queue import QueueNote
 from bench.results.status import GOING_TO_SAFE, Link, OpenPrompt
-from bench.run.lock import locked
+from bench.rig.lock import locked
 from instruments.clock import wall_time
 from instruments.operators.mailbox import read_prompt
 from tests.bench.console import served

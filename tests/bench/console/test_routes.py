@@ -25,7 +25,7 @@ from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.report.page import write_run_report
 from bench.results.status import LIVE, RUN_JSON
-from bench.run.lock import locked
+from bench.rig.lock import locked
 from instruments.clock import stopwatch_s
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox, read_answer

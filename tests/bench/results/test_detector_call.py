@@ -222,6 +222,7 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
         (answered(hidden=99), "counts 99 teats as hidden"),
         (answered(hidden=1.5), "counts 1.5 teats as hidden"),
         (answered(hidden=True), "counts True teats as hidden"),
+        (answered(hidden=tuple(range(999))), "20, 21... teats as hidden"),
         (
             answered(teat(1, 2, 3, covariance_mm2=np.full((3, 3), np.nan))),
             "not 3 x 3 finite numbers",

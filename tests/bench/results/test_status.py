@@ -34,8 +34,8 @@ from bench.results.status import (
     Safe,
     read_status,
 )
+from bench.rig.lock import locked
 from bench.run.events import ENDED
-from bench.run.lock import locked
 from bench.run.notify import text_of
 from bench.scoring.decisions import decide_rate
 from bench.scoring.rates import Rate

@@ -26,11 +26,11 @@ from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.report.page import write_run_report
 from bench.results.status import LIVE, read_status
+from bench.rig.lock import locked
 from bench.rig.opening import open_instruments
 from bench.run import trial as run_trial
 from bench.run.events import EVENT, Events, RunState, read_events
 from bench.run.interruptions import leave_request
-from bench.run.lock import locked
 from bench.run.recordings import Recorder
 from bench.run.resume import what_is_left
 from bench.run.start import RunOptions

@@ -5,7 +5,9 @@ emulated in part: what it shows is marked.
 
 from __future__ import annotations
 
+import ctypes
 import importlib
+import pkgutil
 import re
 import subprocess
 import sys
@@ -240,6 +242,28 @@ def fails(error: BaseException) -> Callable[[Any], None]:
     return raises
 
 
+AT_THE_END = (
+    "bench.run.engine.Engine._make_safe",
+    "instruments.drivers.border.Plugged.close",
+    "bench.report.page.build_page",
+)
+
+
+def raised_again(kind: type[BaseException], work: Callable[..., Any]) -> Callable[..., Any]:
+    """``work``, amid which ``kind`` is raised in the main thread by another."""
+    raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
+    main = ctypes.c_ulong(threading.main_thread().ident or 0)
+
+    def again(*given: object, **how: object) -> object:
+        raise_in(main, ctypes.py_object(kind))
+        try:
+            return work(*given, **how)
+        finally:
+            raise_in(main, None)
+
+    return again
+
+
 def changed(**how: Any) -> dict[str, Any]:
     frame = RawFrame(np.full((4, 4), 200, np.uint8), 0.0)
     return {part: replace(frame, **how) for part in ("left", "right")}
@@ -327,11 +351,16 @@ def test_what_a_driver_does_in_a_run_is_said(
 def test_what_a_driver_raises_in_the_benchs_thread_ends_the_run(
     raised: BaseException, tmp_path: Path, said: Said, monkeypatch: Patch
 ) -> None:
-    """As `PyThreadState_SetAsyncExc` does from a thread of the driver's own: between any calls."""
+    """As `PyThreadState_SetAsyncExc` does from a thread of the driver's own: between any calls, and
+    again while the run goes to safe and while its report is written.
+    """
     write_calibration(tmp_path)
     (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
     (tmp_path / "one.toml").write_text(script_of(), encoding="utf-8")
     monkeypatch.setattr("bench.run.trial.TrialRun._settle", fails(raised))
+    for place in AT_THE_END:
+        again = raised_again(type(raised), pkgutil.resolve_name(place))
+        monkeypatch.setattr(place, again)
     with importable(tmp_path / "site"):
         files = (tmp_path / one for one in ("one.toml", "lab.toml", "runs"))
         there = said(3, "run {} --rig {} --out {}", *files)

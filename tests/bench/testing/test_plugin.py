@@ -23,7 +23,7 @@ import bench.testing.found
 import bench.testing.trials
 from bench.results.verdicts import judge, stored_rules
 from bench.rig.loading import load_rig
-from bench.run.lock import lock_path, locked
+from bench.rig.lock import lock_path, locked
 from bench.testing import Scene, Teat
 from bench.testing.found import folder_name
 from bench.testing.trials import TrialsOfTests
@@ -58,6 +58,42 @@ blind = Blind()
 
 def test_own():
     check(blind, Scene(), limit_mm=5)
+"""
+# two test functions: what one left behind doesn't keep the other from its scenes
+HANGS = """
+import sys, threading
+from hypothesis import given
+from bench.testing import check, scenes
+from detector import Detection
+
+asked, over = [], threading.Event()
+
+class Hangs:
+    name, version, parameters = "hangs", "1", {}
+    def detect(self, frames, calibration):
+        asked.append(frames)
+        if len(asked) > 1:
+            over.wait(60.0)
+        return Detection()
+
+hangs = Hangs()
+
+@given(scenes())
+def test_object(scene):
+    try:
+        check(hangs, scene, timeout_s=0.2, rig=RIG)
+    except AssertionError as error:
+        if "there was none within 0.2 s" in str(error):
+            raise
+
+@given(scenes())
+def test_program(scene):
+    program = f"exec:{sys.executable} -c 'import time; time.sleep(60)'"
+    check(program, scene, timeout_s=0.2, rig=RIG)
+
+def test_each_was_asked_once():
+    over.set()
+    assert len(asked) == 2
 """
 # hypothesis itself stops after 5 minutes by the clock, and explains by a hundred scenes
 SLOW = """
@@ -457,3 +493,17 @@ def test_an_object_is_found_in_a_test_of_its_own_and_deadlines_are_those_of_scen
         pytester.runpytest_inprocess(*PLUGIN, "--co").stdout.no_fnmatch_line("*test_scene.py*")
     second.assert_outcomes(failed=1)
     second.stdout.fnmatch_lines(["*Blind misses 1 of 1 visible ends in Scene()*"])
+
+
+@pytest.mark.slow
+def test_a_detector_that_hangs_is_asked_no_more(pytester: pytest.Pytester, rig: str) -> None:
+    result = run(pytester, f"RIG = {rig!r}\n{HANGS}", "--hypothesis-seed=1")
+    result.assert_outcomes(failed=2, passed=1)
+    result.stdout.fnmatch_lines_random(
+        [
+            "hangs gave no answer (there was none within 0.2 s) in Scene(*",
+            "exec:*gave no answer*",
+            "No simpler scene was looked for, and none beside it: each may take as long.",
+            "Picture: found*",
+        ]
+    )

@@ -151,7 +151,7 @@ def test_a_sample_of_the_neighbours_says_so_and_names_the_plainest_that_passes(
 
     monkeypatch.setattr(checking, "look", only_four_passes)
     edge = replace(FOUR, teats=(Teat(lean_deg=1), *FOUR.teats[1:]))
-    look: Any = SimpleNamespace(fault="misses an end")
+    look: Any = SimpleNamespace(fault="misses an end", late=False)
     near = SceneFailedError("thesis", edge, look, 5.0, "emulated").neighbourhood()
     sample = f"{near.of} scenes one step away looked at, a sample of {len(edge.neighbours())},"
     assert near.of <= 24

@@ -19,7 +19,7 @@ from filelock import FileLock
 from bench.config import ConfigError
 from bench.record.state import holder_of, lives, this_process
 from bench.rig.loading import find_rig, load_rig
-from bench.run.lock import RigInUseError, lock_path, locked
+from bench.rig.lock import RigInUseError, lock_path, locked
 from tests.bench.commands import Said
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
@@ -28,7 +28,7 @@ from tests.waiting import PATIENCE_S, within
 HOLDER = """
 import sys, time
 from pathlib import Path
-from bench.run.lock import locked
+from bench.rig.lock import locked
 with locked(Path(sys.argv[1]), "runs/here", print):
     print("held", flush=True)
     sys.stdin.readline()

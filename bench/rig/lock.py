@@ -1,5 +1,5 @@
-"""Keeps two benches off one rig or run: a file lock that a running bench holds, and its name beside
-it; and the room on the disk that a run keeps for its last entries (`RESERVE`).
+"""Keeps two benches off one rig or run: a file lock that a bench holds while it has the rig open,
+or runs, and its name beside it.
 
 What counts is the system's lock (`filelock`), which goes with the process, however it died. The
 text is for people, and for a folder shared with another machine, which the lock may not reach. An
@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,44 +19,10 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from bench.config import ConfigError
-from bench.record.state import RESERVE, holder_in, this_process
+from bench.record.state import holder_in, lives, this_process
 from bench.rig.loading import LoadedRig
 from instruments.clock import wall_time
 from instruments.errors import LimitError
-
-BYTES, BLOCK = 1 << 19, 1 << 14
-
-
-class Reserve:
-    """A file of BYTES in ``folder``, while a run lasts; its first BLOCK until the run has its end
-    on record. Where others fill the disk at once, the end is written into that.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / RESERVE
-
-    def keep(self) -> None:
-        """Take the room; where there is none left, there is none to keep."""
-        with suppress(OSError):
-            self._path.write_bytes(b"\1" * BYTES)
-
-    def give_back(self) -> None:
-        """Let it go but for its first block; once more is no error."""
-        with suppress(OSError):
-            os.truncate(self._path, min(BLOCK, self._path.stat().st_size))
-
-    def end(self) -> None:
-        """Nothing is left of it; once more is no error."""
-        with suppress(OSError):
-            self._path.unlink(missing_ok=True)
-
-    def leave(self, end: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
-        """What the record has no room for, as `left_in` reads it: of many events the last."""
-        while len(data := json.dumps({**end, "events": events}).encode()) > BLOCK and events:
-            events = events[1:]
-        with suppress(OSError), self._path.open("r+b") as file:  # a new file has no room
-            file.write(data.ljust(BLOCK))
-
 
 ENDING = ".lock.json"
 
@@ -107,6 +73,9 @@ def _clear(path: Path) -> None:
 
 
 def _in_use(path: Path, holder: dict[str, Any], who: str) -> RigInUseError:
+    if lives(holder) and holder["pid"] == os.getpid():
+        hint = f"Leave the block that opened it first, or use that one's {who}."
+        return RigInUseError(who, f"this process has it: {_named(holder)}", hint=hint)
     hint = f"Wait for it to end, or end it. Where you know that it is gone, delete {path}."
     return RigInUseError(who, f"another bench has it: {_named(holder)}", hint=hint)
 
