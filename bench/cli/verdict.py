@@ -76,8 +76,9 @@ def _bench(record: RunRecord, judgement: Judgement) -> Text:
     count = f"{done} of {plural(planned, 'trial')} done"
     count += f", {len(record.skipped)} skipped" if record.skipped else ""
     met = [one.name for one in own if one.verdict is Verdict.MET]
-    note = [count, *met, *(f"{name}: not decided" for name in open_)]
-    return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(note)}.")
+    left_open = f"; not decided: {', '.join(open_)}" if open_ else ""
+    text = f"{', '.join([count, *met])}{left_open}."
+    return Text.assemble(("The bench works: ", "bold green"), text)
 
 
 def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judgement]) -> Table:

@@ -117,7 +117,7 @@ class Chart:
             return f"{self.last}: it has {way} by {figure} a week for {over}"
         if self.limits and (self.rules[-1] == FAR or all(self.rules[-2:])):
             usual = f"{self.limits.centre:.{self.digits}f} {self.unit}".strip()
-            return f"{self.last}, {usual} as a rule: {self.rules[-1]}"
+            return f"{self.last}, usually {usual}: {self.rules[-1]}"
         return ""
 
 

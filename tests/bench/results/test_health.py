@@ -49,7 +49,7 @@ def test_a_value_beyond_the_limits_is_said_and_few_runs_have_none() -> None:
     (few,) = charts(runs_of([*usual[:-2], 9.0], days=0.1))
     assert (few.limits, few.warning) == (None, "")
     (chart,) = charts(runs_of([*usual, 0.4], days=0.1))
-    assert chart.warning.endswith("0.20 mm as a rule: beyond 3 standard deviations")
+    assert chart.warning.endswith("usually 0.20 mm: beyond 3 standard deviations")
     (age,) = charts(runs_of([float(k) for k in range(30)], "calibration_days"))
     assert (age.limits, age.trend) == (None, None)
     both = runs_of(usual) + [replace(one, rig="other") for one in runs_of(usual)]
