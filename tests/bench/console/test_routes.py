@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from hashlib import sha256
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -269,3 +271,14 @@ def test_a_run_that_never_began_or_can_t_be_read_hides_no_other(tmp_path: Path) 
     for name in ("never-began", "torn"):
         with pytest.raises(ConfigError):
             snapshot(tmp_path / name)
+
+
+def test_a_detector_has_the_colour_that_it_has_over_the_frames_of_a_report() -> None:
+    script = files("bench.console").joinpath("static/console.js").read_text(encoding="utf-8")
+    style = files("reports").joinpath("templates/frames.css").read_text(encoding="utf-8")
+    tones = re.search(r"TONES = (\[.*?\])", script)
+    truth = re.search(r'TRUTH = "(#\w+)"', script)
+    assert tones
+    assert truth
+    assert json.loads(tones[1]) == re.findall(r"--who-\d:(#\w+)", style)
+    assert f".layer-truth{{color:{truth[1]}}}" in style

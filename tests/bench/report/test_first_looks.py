@@ -31,7 +31,11 @@ def run_with(failures: dict[str, Collection[int]], repeats: int = 6) -> RunRecor
             )
             for name, failed in failures.items()
         }
-        own = {"id": f"{number:03d}-pose", "number": number, "name": f"pose-{(number - 1) // repeats}"}
+        own = {
+            "id": f"{number:03d}-pose",
+            "number": number,
+            "name": f"pose-{(number - 1) // repeats}",
+        }
         head = {**kept.trials[0].head, **own}
         trials.append(replace(kept.trials[0], head=head, scores=scores))
     facts = {**kept.facts, "detectors": list(failures)}
