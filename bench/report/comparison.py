@@ -80,8 +80,10 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
     Verdict.NOT_MET: (
         "worse",
         "THE NEW ONE IS WORSE:",
-        "Open 'Scenes that changed' below, and those trials in the report of {run}, before {new} is"
-        " used.",
+        (
+            "Open 'Scenes that changed' below, and those trials in the report of {run}, before"
+            " {new} is used."
+        ),
         "bad",
     ),
     Verdict.INCONCLUSIVE: (
@@ -544,8 +546,8 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
     )
     caption = (
         f"Left: share of poses that each got right. Right: how much farther {new}'s points lie from"
-        f" the teat ends than {old}'s, with {100 * comparison.compared.confidence:g} % intervals; one"
-        " that stays left of the margin is not worse."
+        f" the teat ends than {old}'s, with {100 * comparison.compared.confidence:g} % intervals;"
+        " one that stays left of the margin is not worse."
     )
     if capped := capped_text(comparison):
         caption += f" {capped}"
