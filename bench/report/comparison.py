@@ -607,7 +607,7 @@ def baseline_parts(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -
             old, new, limits = zip(*pairs, strict=True)
             svg = change_scatter(old, new, max(limits), name=f"change-{number}")
             alt = (
-                f"{len(pairs)} scenes that both found teats in: the largest error grew in"
+                f"{plural(len(pairs), 'scene')} that both found teats in: the largest error grew in"
                 f" {sum(b > a for a, b, _ in pairs)}, shrank in {sum(b < a for a, b, _ in pairs)}"
             )
             of = f"Largest error of each scene, now against the baseline, {one.new.detector}."
