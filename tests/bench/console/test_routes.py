@@ -31,6 +31,7 @@ from bench.run.lock import locked
 from instruments.clock import stopwatch_s
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox, read_answer
+from reports.frames import ANSWER_COLOURS, TRUTH_COLOUR
 from tests.bench.small_run import KEPT
 
 TOKEN, HOST, TICKET = "right-token", "127.0.0.1:8421", "ticket"
@@ -275,10 +276,10 @@ def test_a_run_that_never_began_or_can_t_be_read_hides_no_other(tmp_path: Path) 
 
 def test_a_detector_has_the_colour_that_it_has_over_the_frames_of_a_report() -> None:
     script = files("bench.console").joinpath("static/console.js").read_text(encoding="utf-8")
-    style = files("reports").joinpath("templates/frames.css").read_text(encoding="utf-8")
     tones = re.search(r"TONES = (\[.*?\])", script)
     truth = re.search(r'TRUTH = "(#\w+)"', script)
     assert tones
     assert truth
-    assert json.loads(tones[1]) == re.findall(r"--who-\d:(#\w+)", style)
-    assert f".layer-truth{{color:{truth[1]}}}" in style
+    assert (tuple(json.loads(tones[1])), truth[1]) == (ANSWER_COLOURS, TRUTH_COLOUR)
+    style = files("reports").joinpath("templates/frames.css").read_text(encoding="utf-8")
+    assert f".layer-truth{{color:{TRUTH_COLOUR}}}" in style
