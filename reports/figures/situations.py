@@ -213,9 +213,11 @@ def _key(detectors: Mapping[str, object]) -> list[LegendEntry]:
 
 
 def _muted(axes: Axes, x: float, y: float, text: str) -> None:
-    """Points beside the axis's line, whose width leaves no room for a blank's."""
-    of = {"textcoords": "offset points", "color": COLOURS["muted"], "fontsize": 7}
-    axes.annotate(text, (x, y), (4, 0), va="center", **of)
+    """A note in place of a mark, clear of the axis's line."""
+    muted = COLOURS["muted"]
+    axes.annotate(
+        text, (x, y), (4, 0), textcoords="offset points", va="center", color=muted, fontsize=7
+    )
 
 
 def _ticks(axes: Axes, ticks: Sequence[float], text: Callable[[float], str]) -> None:
