@@ -33,7 +33,7 @@ from instruments.camera.quality import edge_blur_px, level_dn
 from textfiles.text import in_command, plural
 
 KEPT = ".health.json"  # in the folder of runs
-VERSION = 1  # of what is measured
+VERSION = 2  # of what is measured
 MOST_NEW = 20  # runs that are read before a run begins
 LOOKED_AT = 3  # trials whose pictures are looked at
 BRIGHTEST = 0.995  # share of the pixels that are darker
@@ -188,7 +188,8 @@ def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
 
 def _of_bath(run: RunRecord) -> Iterator[tuple[str, float]]:
     set_point_c, stable = run.facts.get("set_point_c"), "stable" in run.bath_states
-    if set_point_c is None or not stable or run.sessions > 1:
+    warm = run.facts.get("asked", {}).get("warm")  # it took over a rig that another script heated
+    if set_point_c is None or not stable or run.sessions > 1 or warm:
         return
     t_s, temp_c = run.bath[:, 0], run.bath[:, 1]
     yield "stable_min", float(t_s[run.bath_states.index("stable")] - t_s[0]) / 60.0

@@ -82,6 +82,19 @@ def test_a_run_is_read_once_and_anew_where_it_changed(
     assert history(tmp_path) == history(tmp_path / "nowhere") == []
 
 
+def test_a_run_on_a_rig_that_another_script_heated_settles_in_no_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(RUN, tmp_path / "1")
+    (alone,) = history(tmp_path)
+    run = read_run(RUN)
+    warm = replace(run, facts={**run.facts, "asked": {"warm": True}})
+    monkeypatch.setattr(health, "read_run", lambda _: warm)
+    (tmp_path / KEPT).unlink()
+    (found,) = history(tmp_path)
+    assert {*alone.values} - {*found.values} == {"stable_min"}
+
+
 def test_runs_of_another_rig_crowd_out_none_of_this_one(tmp_path: Path) -> None:
     for name in ("1", "2", "3"):
         store = Store(Path(shutil.copytree(RUN, tmp_path / name)))
