@@ -107,6 +107,25 @@ def places_of(detectors: Iterable[str]) -> dict[str, int]:
     return {name: found[name] for name in names}
 
 
+def answer_colour(who: int) -> str:
+    """The colour over a picture of the detector at place `who`, from 1."""
+    return ANSWER_COLOURS[(who - 1) % len(ANSWER_COLOURS)]
+
+
+def strokes(mark: Shape) -> list[tuple[tuple[float, float], ...]]:
+    """The lines of an answer's mark, for what draws on pixels."""
+    match mark:
+        case Cross(x, y, a, turned):
+            b = a if turned else 0.0
+            return [((x - a, y - b), (x + a, y + b)), ((x - b, y + a), (x + b, y - a))]
+        case Rect(x, y, wide, high):
+            corners = ((x, y), (x + wide, y), (x + wide, y + high), (x, y + high))
+            return [(*corners, corners[0])]
+        case Polyline(points, closed):
+            return [(*points, points[0]) if closed else points]
+    raise TypeError(f"{type(mark).__name__} is no mark of an answer")
+
+
 def answer_mark(who: int, x_px: float, y_px: float, arm_px: float, title: str = "") -> Shape:
     """The mark of an answer of the detector at place `who`, from 1; an X without one."""
     x, y, a = x_px, y_px, arm_px
@@ -122,6 +141,8 @@ def answer_mark(who: int, x_px: float, y_px: float, arm_px: float, title: str = 
 
 
 MARKS = ("cross", "square", "triangle", "diamond")
+# over a picture, with a dark line about them: the truth, and answers by their detector's place
+TRUTH_COLOUR, ANSWER_COLOURS = "#5dff8f", ("#7cc4ff", "#ffb454", "#e9a6ff", "#ffffff")
 MOST_DETECTORS = len(MARKS) ** 2  # that marks and colours tell apart
 KNOWN_PLACES = {"fused": 1, "thesis": 2}
 

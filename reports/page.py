@@ -5,7 +5,7 @@ is in `templates/`; `render.py` joins the two.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Literal, TypeVar, get_args
@@ -93,17 +93,20 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Scoreboard:
-    """Requirement by detector: name, limit, scores; `hints` explain a row by its name."""
+    """Requirement by detector: name, limit, scores; `hints` explain a row by its name. A row in
+    `shared` has one score, which is no detector's.
+    """
 
     caption: str
     detectors: tuple[str, ...]
     rows: tuple[tuple[str, str, tuple[Score | None, ...]], ...]
     heads: tuple[str, str] = ("Requirement", "Limit")
     hints: Mapping[str, str] = field(default_factory=dict)
+    shared: Collection[str] = ()
 
     def __post_init__(self) -> None:
         for name, _, scores in self.rows:
-            if len(scores) != len(self.detectors):
+            if len(scores) != (1 if name in self.shared else len(self.detectors)):
                 raise PageError(
                     f"scoreboard {self.caption!r}, requirement {name!r}: {len(scores)} scores for"
                     f" {len(self.detectors)} detectors"
@@ -275,7 +278,9 @@ Part = (
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first screen; `each`: the verdicts of several detectors."""
+    """The first screen; `each`: the verdicts of several detectors; `urgent`: what to do before
+    anything else.
+    """
 
     kind: Kind
     verdict: Verdict
@@ -284,6 +289,7 @@ class Banner:
     confidence: str
     next_action: str
     each: tuple[tuple[str, Verdict], ...] = ()
+    urgent: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         one_of(self.kind, KINDS, "banner, kind")

@@ -21,7 +21,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from reports.frames import (
-    MARKS,
     Circle,
     Ellipse,
     ImageView,
@@ -29,6 +28,7 @@ from reports.frames import (
     Polyline,
     Rect,
     Shape,
+    answer_colour,
     answer_mark,
     layers,
     places_of,
@@ -100,7 +100,7 @@ class Press:
         self._style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
         for who in self._places.values():
             self._style += (
-                f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
+                f".who-{who}{{color:{answer_colour(who)}}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
             )
         self._explained: dict[str, GlossaryLinks] = {}

@@ -125,10 +125,9 @@ def world(given: argparse.Namespace) -> int:
     page = partial(world_page, result)
     _finish(given, result.part, page, inputs=(given.points,), pair=pair)
     fit = result.fit
-    print(
-        f"{len(fit.touched_mm)} points: missed by {fit.comparison.rigid.fre_mm:.3f} mm rms, lengths"
-        f" {fit.scale:.5f} ± {fit.scale_sd:.5f} of the arm's"
-    )
+    missed = f"missed by {fit.comparison.rigid.fre_mm:.3f} mm rms"
+    lengths = f"lengths {fit.scale:.5f} ± {fit.scale_sd:.5f} of the arm's"
+    print(f"{plural(len(fit.touched_mm), 'point')}: {missed}, {lengths}")
     return _say(result.findings)
 
 

@@ -165,7 +165,8 @@ def _run(given: argparse.Namespace) -> int:
 def _say_next(given: argparse.Namespace, code: int) -> None:
     """The next two commands, to a person at a terminal whose command did its work."""
     values = vars(given)
-    following = commands.table("following").get(given.called)
+    tried = " --dry-run" if values.get("dry_run") else ""
+    following = commands.table("following").get(f"{given.called}{tried}")
     read = not values.get("json") and sys.stdout.isatty()
     if not following or not read or code in (CODES.wrong_use, CODES.fault):
         return

@@ -15,6 +15,7 @@ from bench.cli.arguments import CODES, complain, print_json, print_values, refus
 from bench.cli.terminal import working
 from bench.files import write_synced
 from bench.rig.loading import TO_COPY
+from textfiles.text import plural
 
 
 def check(given: argparse.Namespace) -> int:
@@ -116,5 +117,5 @@ def _shown(frames: Iterator[str], out: Path, total: int) -> int:
             print(frame, flush=True)
             written += 1
             report(written, total)
-    print(f"{written} frames in {out}")
+    print(f"{plural(written, 'frame')} in {out}")
     return CODES.met

@@ -76,8 +76,9 @@ def _bench(record: RunRecord, judgement: Judgement) -> Text:
     count = f"{done} of {plural(planned, 'trial')} done"
     count += f", {len(record.skipped)} skipped" if record.skipped else ""
     met = [one.name for one in own if one.verdict is Verdict.MET]
-    note = [count, *met, *(f"{name}: not decided" for name in open_)]
-    return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(note)}.")
+    left_open = f"; not decided: {', '.join(open_)}" if open_ else ""
+    text = f"{', '.join([count, *met])}{left_open}."
+    return Text.assemble(("The bench works: ", "bold green"), text)
 
 
 def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judgement]) -> Table:
@@ -89,12 +90,14 @@ def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judge
     for judgement in judgements:
         table.add_column(judgement.detector if several else "measured")
     for row in zip(*(judgement.decisions for judgement in judgements), strict=True):
-        if row[0].name in judgements[0].of_bench and row[0].verdict is Verdict.MET:
+        of_bench = row[0].name in judgements[0].of_bench
+        if of_bench and row[0].verdict is Verdict.MET:
             continue  # said before the table
-        values = (measured(replace(one, uncertainty=None)) for one in row)  # bounds: the report
+        each = row[:1] if of_bench else row  # once, not a detector each
+        values = (measured(replace(one, uncertainty=None)) for one in each)  # bounds: the report
         cells = (
             Text.assemble(_sign(console, one.verdict), " ", value)
-            for one, value in zip(row, values, strict=True)
+            for one, value in zip(each, values, strict=True)
         )
         table.add_row(row[0].name, limit(row[0]), *cells)
     return table

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.config import ConfigError, toml_of
-from bench.rig.loading import NO_RIGS, RIGS, shipped
+from bench.rig.loading import NO_RIGS, RIGS, find_rig, load_rig, shipped
 from bench.script.detectors import declared
 from bench.script.model import TRIALS
 from detector.registry import available
@@ -33,11 +33,14 @@ class NotStartedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What the page may choose from: names, each with the path or name that a command takes."""
+    """What the page may choose from: names, each with the path or name that a command takes.
+    ``paced``: rigs without a real instrument, whose speed is a choice too.
+    """
 
     rigs: Mapping[str, str]
     scripts: Mapping[str, str]
     detectors: Sequence[str]
+    paced: Sequence[str]
 
     def command(self, rig: str, scripts: Sequence[str], detectors: Sequence[str]) -> list[str]:
         """The arguments of `teatbench` that run them one after the other. Raises NotStartedError
@@ -66,7 +69,15 @@ def choices(folder: Path) -> Choices:
             rigs[path.name] = str(path.resolve())
         elif _has(path, "trials"):
             scripts[path.name] = str(path.resolve())
-    return Choices(rigs, scripts, sorted({*available(), *declared()}))
+    paced = [name for name, path in rigs.items() if _simulated(path)]
+    return Choices(rigs, scripts, sorted({*available(), *declared()}), paced)
+
+
+def _simulated(rig: str) -> bool:
+    try:
+        return load_rig(find_rig(rig)).rig.simulated
+    except ConfigError:
+        return False  # what is wrong is said once it is chosen
 
 
 def _has(path: Path, table: str) -> bool:

@@ -74,15 +74,15 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
     Verdict.MET: (
         "not worse",
         "The new one is not worse:",
-        "The new one may replace the old one as far as these scenes go.",
+        "As far as these scenes go, {new} may replace {old}.",
         "good",
     ),
     Verdict.NOT_MET: (
         "worse",
         "THE NEW ONE IS WORSE:",
         (
-            "Open 'Scenes that changed' below, and those trials in the new run's report, before"
-            " the new one is used."
+            "Open 'Scenes that changed' below, and those trials in the report of {run}, before"
+            " {new} is used."
         ),
         "bad",
     ),
@@ -440,7 +440,8 @@ def _sure(one: Comparison) -> str:
 
 def _next(one: Comparison) -> str:
     gate, row = one.compared.gate, one.compared.pooled
-    then = GATE[gate.verdict][2]
+    old, new = (name.replace(" run", " one") for name in _called(one))
+    then = GATE[gate.verdict][2].format(old=old, new=new, run=one.new.run.folder.name)
     if gate.verdict is not Verdict.INCONCLUSIVE or row.radial.high is None:
         return then
     looks = 1 if one.look is None else 1 + len(one.look.after)
@@ -483,7 +484,8 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         verdict = "no verdict" if allowed is not None else "worse" if many > few else "not worse"
         add(name, "" if allowed is not None else "none more", str(few), verdict, str(many), shows)
     before, now = (_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2])
-    shows = f"change {_difference(row.radial)} mm" if row.radial.mean is not None else ""
+    shows = f"change {_difference(row.radial)} mm"
+    shows = "no teat found by both" if row.radial.mean is None else shows
     limit = f"{margin:g} mm farther"
     add("Distance to the teat end", limit, before, _change_verdict(row.radial, margin), now, shows)
     along = [(axis.mean, name, axis) for axis, name in zip(row.axes, "xyz", strict=True)]
@@ -533,7 +535,7 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
         for mean, low, high in spans
     ]
     margin_mm, called = comparison.compared.gate.margin_mm, _short(comparison)
-    name = f"situations-{number}"
+    (old, new), name = _called(comparison), f"situations-{number}"
     sides = comparison.old.detector, comparison.new.detector
     places = places_of(sides)
     who = places[sides[0]], places[sides[1]]
@@ -543,9 +545,9 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
         for name, (a, b, n), row in zip(names, right, rows, strict=True)
     )
     caption = (
-        "Left: share of poses that each got right. Right: how much farther the new one's points lie"
-        f" from the teat ends, with {100 * comparison.compared.confidence:g} % intervals; one that"
-        " stays left of the margin is not worse."
+        f"Left: share of poses that each got right. Right: how much farther {new}'s points lie from"
+        f" the teat ends than {old}'s, with {100 * comparison.compared.confidence:g} % intervals;"
+        " one that stays left of the margin is not worse."
     )
     if capped := capped_text(comparison):
         caption += f" {capped}"
@@ -605,7 +607,7 @@ def baseline_parts(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -
             old, new, limits = zip(*pairs, strict=True)
             svg = change_scatter(old, new, max(limits), name=f"change-{number}")
             alt = (
-                f"{len(pairs)} scenes that both found teats in: the largest error grew in"
+                f"{plural(len(pairs), 'scene')} that both found teats in: the largest error grew in"
                 f" {sum(b > a for a, b, _ in pairs)}, shrank in {sum(b < a for a, b, _ in pairs)}"
             )
             of = f"Largest error of each scene, now against the baseline, {one.new.detector}."

@@ -219,8 +219,9 @@ def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -
         ),
         sentence=status.why,
         confidence=_confidence(run, rules, poses, {*status.verdicts.values()}),
-        next_action="\n".join(status.next),
+        next_action="\n".join(status.then),
         each=tuple((name, cast(Verdict, word)) for name, word in each),
+        urgent=status.unsafe,
     )
 
 

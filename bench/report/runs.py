@@ -59,10 +59,10 @@ def list_runs(folder: Path | str = "runs") -> Runs:
     for number, chart in enumerate(drawn, 1):
         limits = (chart.limits.centre, chart.limits.sigma) if chart.limits else None
         first, last, broken = chart.dates[0], chart.dates[-1], [bool(rule) for rule in chart.rules]
-        one_day = first[:10] == last[:10]  # named once, with the time at both ends
-        dates = (first, last[11:]) if one_day else (first[:10], last[:10])
+        one_day = first[:10] == last[:10]  # named once, below the time at both ends
+        ends = (f"{first[11:]}\n{first[:10]}", last[11:]) if one_day else (first[:10], last[:10])
         of = {"unit": chart.unit, "name": f"health-{number}"}
-        svg = control_chart(chart.values, limits, broken, BASE, dates, **of)
+        svg = control_chart(chart.values, limits, broken, BASE, ends, **of)
         many = plural(len(chart.values), "run")
         health.setdefault(chart.rig, []).append(
             Figure(svg, chart.warning or chart.last, f"{chart.name}, {many}: {chart.last}")

@@ -14,7 +14,7 @@ from bench.record.reader import RunRecord
 from bench.report.accuracy import precision_parts
 from bench.report.tables import covariance_of
 from bench.report.trials import anchors_of
-from bench.report.wording import NOT_MEASURED, id_of, table
+from bench.report.wording import NOT_MEASURED, formatted, id_of, table
 from bench.results.answers import LEFT_OUT
 from bench.results.error_rows import (
     Bias,
@@ -153,7 +153,8 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
             continue
         effect, low, high = (value * line.span for value in (line.slope, line.low, line.high))
         slopes.append(Slope(name, response, effect, low, high, line.significant))
-        interval = f"{line.low * factor:+.3g} to {line.high * factor:+.3g}"
+        ends = (formatted(end * factor, "+.3g") for end in (line.low, line.high))
+        interval = " to ".join(ends)
         p = line.p_value if line.p_holm is None else line.p_holm
         text = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
         most, truth = max(abs(low), abs(high)), line.truth * line.span

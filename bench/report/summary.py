@@ -44,11 +44,16 @@ def of_run(found: Reported) -> str:
     lines += [f"- **{_plain(line)}**" for line in urgent]
     lines += [""] if urgent else []
     if judgements:
-        rows = [
-            [row[0].name, limit(row[0]), *(f"{MARKS[one.verdict]} {measured(one)}" for one in row)]
-            for row in zip(*(one.decisions for one in judgements), strict=True)
-        ]
+        rows, of_bench = [], []
+        for row in zip(*(one.decisions for one in judgements), strict=True):
+            shown = (f"{MARKS[one.verdict]} {measured(one)}" for one in row)
+            name, *cells = row[0].name, limit(row[0]), *shown
+            if len(judgements) > 1 and name in judgements[0].of_bench:
+                of_bench.append([name, *cells[:2]])  # once, not a detector each
+            else:
+                rows.append([name, *cells])
         lines += _table(["requirement", "limit", *(one.detector for one in judgements)], rows)
+        lines += _table(["of the bench", "limit", "shown"], of_bench) if of_bench else ()
     said = [status.why, *status.then, f"Run: {record.folder.name}"]
     return "\n\n".join(["\n".join(lines), *(_plain(line) for line in said if line)]) + "\n"
 

@@ -73,7 +73,7 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         of = f", from {d.n}" if d.n not in (usual, 0) else ""
         return Score(d.verdict.value, measured(d), f"{SHOWS[d.verdict]}{of}")
 
-    rows = []
+    rows, shared = [], set[str]()
     bench = [d for d in judgements[0].decisions if d.name in of_bench]
     sound = [d.name for d in bench if d.verdict is Verdict.MET]
     sound = sound if len(sound) > 1 else []  # in one row; each has its own in the fold
@@ -82,16 +82,18 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         limits = dict.fromkeys(limit(d) for d in decisions if d)
         scores = tuple(score(d) if d else None for d in decisions)
         called = name[0].upper() + name[1:]
-        if several and name in of_bench:
-            called, scores = f"Bench: {name}", (scores[0], *(None,) * (len(scores) - 1))
+        if name in of_bench:
+            called, scores = f"Bench: {name}" if several else called, scores[:1]
+            shared.add(called)
         rows.append((called, ", ".join(limits), scores))
     if sound:
         met = Score(Verdict.MET.value, f"{len(sound)} of {len(sound)}", "met")
         called = "The bench's own" if len(sound) == len(of_bench) else "The bench's other ones"
-        rows.append((called, "", (met, *(None,) * (len(judgements) - 1))))
+        rows.append((called, "", (met,)))
+        shared.add(called)
     names = tuple(judgement.detector for judgement in judgements)
     caption = f"What each detector shows; from {plural(usual, 'value')} unless noted."
-    return Scoreboard(caption, names, tuple(rows))
+    return Scoreboard(caption, names, tuple(rows), shared=shared)
 
 
 def situations(run: RunRecord) -> list[str]:

@@ -10,7 +10,8 @@ to the disk.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -116,6 +117,18 @@ def _fault(trial: TrialRecord, name: str) -> tuple[bool, int, float]:
     return not score.success, wrong, max(score.radial_mm, default=0.0)
 
 
+def _worst_first(trials: Iterable[TrialRecord], name: str) -> list[TrialRecord]:
+    """Failures before successes; of both each pose's worst trial, then each one's second, since
+    repeats of a pose look alike.
+    """
+    seen, turns = Counter[tuple[bool, str]](), []
+    for trial in sorted(trials, key=lambda trial: _fault(trial, name), reverse=True):
+        success = trial.scores[name].success if name in trial.scores else True
+        turns.append((success, seen[success, trial.pose], trial))
+        seen[success, trial.pose] += 1
+    return [trial for *_, trial in sorted(turns, key=lambda turn: turn[:2])]
+
+
 def failures_in_turn(
     run: RunRecord, undecided: Collection[str] = ()
 ) -> tuple[tuple[TrialRecord, str], ...]:
@@ -123,8 +136,7 @@ def failures_in_turn(
     ranks = []
     for name in sorted(run.detectors, key=lambda name: name not in undecided):
         own = [t for t in run.counted if name in t.scores and not t.scores[name].success]
-        own.sort(key=lambda trial: _fault(trial, name), reverse=True)
-        ranks.append([(trial, name) for trial in own])
+        ranks.append([(trial, name) for trial in _worst_first(own, name)])
     found: dict[str, tuple[TrialRecord, str]] = {}
     while any(ranks):
         for rank in ranks:
@@ -149,12 +161,13 @@ def first_trials(
     if not names:
         return {}
     names.sort(key=lambda name: name not in undecided)
-    ranks = {name: sorted(scored, key=lambda t: _fault(t, name), reverse=True) for name in names}
-    turns = [(names[k % len(names)], NTH[k // len(names)], 0) for k in range(max(3, len(names)))]
+    ranks = {name: _worst_first(scored, name) for name in names}
+    usual = sorted(scored, key=lambda trial: _fault(trial, names[0]), reverse=True)
+    turns = [(names[k % len(names)], NTH[k // len(names)]) for k in range(max(3, len(names)))]
     chosen: dict[str, tuple[TrialRecord, str]] = {}
-    for name, nth, first in [*turns, (names[0], "Typical", len(scored) // 2)]:
-        free = [trial for trial in ranks[name][first:] if trial.id not in chosen]
-        for trial in free[:1]:
+    for name, nth in [*turns, (names[0], "Typical")]:
+        rank = usual[len(usual) // 2 :] if nth == "Typical" else ranks[name]
+        for trial in [trial for trial in rank if trial.id not in chosen][:1]:
             chosen[trial.id] = trial, f"{nth} of {name}" if len(names) > 1 else nth
     return chosen
 

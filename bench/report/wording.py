@@ -8,6 +8,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -33,8 +34,11 @@ def id_of(name: str) -> str:
 
 
 def formatted(value: Any, form: str) -> str:
-    """The value by its format; what rounds to zero has no minus."""
-    return f"{value:{form.replace('.', 'z.') if form.endswith('f') else form}}"
+    """The value by its format; what rounds to zero has no minus, what is small no exponent."""
+    text = f"{value:{form.replace('.', 'z.') if form.endswith('f') else form}}"
+    if form.endswith("g") and "e" in text:
+        return f"{Decimal(text):{form[:-1].rstrip('.0123456789')}f}"
+    return text
 
 
 def number(value: float | None, unit: str = "", digits: int = 2) -> str:

@@ -75,7 +75,7 @@ def _exchanged(recording: Recording, calibration: Calibration) -> Iterator[str]:
             if said := order.swapped(frames.left, frames.right):
                 found[frame] = said
     for frame, said in [*found.items()][:1]:
-        of = f" ({len(found)} of {len(looked)} frames looked at)"
+        of = f" ({len(found)} of {plural(len(looked), 'frame')} looked at)"
         yield f"frames/{frame}/left.png is {said}{of}"
 
 

@@ -33,7 +33,7 @@ from instruments.camera.quality import edge_blur_px, level_dn
 from textfiles.text import in_command, plural
 
 KEPT = ".health.json"  # in the folder of runs
-VERSION = 1  # of what is measured
+VERSION = 2  # of what is measured
 MOST_NEW = 20  # runs that are read before a run begins
 LOOKED_AT = 3  # trials whose pictures are looked at
 BRIGHTEST = 0.995  # share of the pixels that are darker
@@ -117,7 +117,7 @@ class Chart:
             return f"{self.last}: it has {way} by {figure} a week for {over}"
         if self.limits and (self.rules[-1] == FAR or all(self.rules[-2:])):
             usual = f"{self.limits.centre:.{self.digits}f} {self.unit}".strip()
-            return f"{self.last}, {usual} as a rule: {self.rules[-1]}"
+            return f"{self.last}, usually {usual}: {self.rules[-1]}"
         return ""
 
 
@@ -188,7 +188,8 @@ def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
 
 def _of_bath(run: RunRecord) -> Iterator[tuple[str, float]]:
     set_point_c, stable = run.facts.get("set_point_c"), "stable" in run.bath_states
-    if set_point_c is None or not stable or run.sessions > 1:
+    warm = run.facts.get("asked", {}).get("warm")  # it took over a rig that another script heated
+    if set_point_c is None or not stable or run.sessions > 1 or warm:
         return
     t_s, temp_c = run.bath[:, 0], run.bath[:, 1]
     yield "stable_min", float(t_s[run.bath_states.index("stable")] - t_s[0]) / 60.0

@@ -94,8 +94,8 @@ class InstrumentStatus:
         if self.by_hand:
             return ": ".join(filter(None, (self.by_hand, silent(self.how, self.age_s))))
         if self.link is Link.ANSWERS:
-            old = self.age_s is not None and self.age_s >= SILENT_S
-            ago = f"{self.age_s:.0f} s ago" if old else ""
+            age_s = self.age_s or 0.0
+            ago = f"{time_text(age_s)} ago" if age_s >= SILENT_S else ""
             if self.last:
                 return f"{self.name} {self.last}" + (f" ({ago})" if ago else "")
             known = "connected" if self.age_s is None else "answers"
@@ -103,8 +103,8 @@ class InstrumentStatus:
         last = f" (last {self.last})" if self.last else ""
         if self.link in (Link.SILENT, Link.AWAY):
             # a bath is asked every second, the others when they are needed
-            since = " for {:.0f} s" if self.name == "bath" else ", last heard {:.0f} s ago"
-            since = "" if self.age_s is None else since.format(self.age_s)
+            since = " for {}" if self.name == "bath" else ", last heard {} ago"
+            since = "" if self.age_s is None else since.format(time_text(self.age_s))
             return f"{self.name}: {self.how or 'no answer'}{since}{last}"
         return f"{self.name}: {SAFE_WORDS[self.safe]}{last}"
 

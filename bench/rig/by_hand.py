@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from textfiles.text import time_text
+
 # what a person does at what heats, moves or turns and can't be made safe from here
 BY_HAND = {
     "bath": "SWITCH OFF THE BATH AT ITS MAINS",
@@ -15,7 +17,7 @@ BY_HAND = {
 
 def silent(brief: str, age_s: float | None) -> str:
     """``no answer for 12 s``, where no answer is all that is wrong and its age is known."""
-    return brief if brief != "no answer" or age_s is None else f"{brief} for {age_s:.0f} s"
+    return brief if brief != "no answer" or age_s is None else f"{brief} for {time_text(age_s)}"
 
 
 def not_safe_text(unsafe: Mapping[str, str]) -> str:

@@ -191,7 +191,8 @@ class RunContext:
                 self._publish()
 
     def _publish(self) -> None:
-        bath = bath_state(self.watch, float(self.progress().get("settling_s", 0.0)))
+        settling_s = float(self.progress().get("settling_s", 0.0))
+        bath = bath_state(self.watch, settling_s, float(getattr(self.clock, "speed", 1.0)))
         more = {"t_s": self.clock.now(), "bath": bath, "interlocks": interlock_states(self.watch)}
         self.live.write(self.status(), more)
 

@@ -110,8 +110,10 @@ class Live:
         replace_whole(self._folder / name, data)
 
 
-def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
-    """The bath as last read, with its gate; units in the keys."""
+def bath_state(watch: BathMonitor, expected_s: float, speed: float = 1.0) -> dict[str, Any]:
+    """The bath as last read, with its gate; units in the keys. What is left is in the time of a
+    person who watches a world that passes ``speed`` times as fast.
+    """
     read = ("t_s", "temp_c", "external_c", "power_percent")
     return {
         **{key: getattr(watch.last, key, None) for key in read},
@@ -119,7 +121,7 @@ def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
         "band_k": watch.gate.leave_k,
         "state": watch.course,
         "why_not_stable": watch.why_not_stable,
-        "stable_in_s": watch.stable_in_s(expected_s),
+        "stable_in_s": watch.stable_in_s(expected_s) / speed,
     }
 
 

@@ -25,14 +25,14 @@ from bench.results.answers import LIMIT_MM, Answer, examine, name_of
 from bench.rig.scenes import rig_renderer
 from bench.scoring.scene import SceneScore
 from bench.testing.scene import Scene
-from detector.protocol import Detection, Detector, DetectorProcess, Outcome, Teat
+from detector.protocol import Detection, Detector, DetectorProcess, Outcome
+from reports.frames import TRUTH_COLOUR, answer_colour, answer_mark, places_of, strokes
 from textfiles.bounds import ABOVE_0
 
 GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
 MOST_KEPT = 4096
 PATIENCE_S = 600.0  # of an object that gives no answer
 NEIGHBOURS = 24
-GREEN, RED = (60, 180, 60), (40, 40, 230)  # truth, answer
 WIDTH_PX = 640  # of each picture
 
 
@@ -96,11 +96,12 @@ class SceneFailedError(AssertionError):
         return Neighbourhood(failing, len(looks), len(near), next(iter(passed), None))
 
     def picture(self) -> NDArray[np.uint8]:
-        """Left, right and thermal picture beside each other (BGR); green circles are the true ends,
-        red crosses the answers.
+        """Left, right, thermal picture beside each other (BGR), with the true ends and the answers
+        in the colours and with the marks of a report.
         """
         shot = self.scene.draw(self.rig)
-        answer = () if self.look.late else asked(self.detector, shot).detection.teats
+        none = Answer(name_of(self.detector), Detection(), 0.0, Outcome.TIMEOUT)
+        answer = none if self.look.late else asked(self.detector, shot)
         return marked(shot, answer, self.rig)
 
     def lines(self) -> str:
@@ -245,25 +246,35 @@ _open = ExitStack()
 atexit.register(_open.close)
 
 
-def marked(shot: Shot, answers: Sequence[Teat], rig: str) -> NDArray[np.uint8]:
+def marked(shot: Shot, answer: Answer, rig: str) -> NDArray[np.uint8]:
     """A shot's pictures with truth and answers, beside each other, (h, w, 3)."""
+    who = places_of([answer.detector])[answer.detector]
+    dark, green, tone = (_bgr(of) for of in ("#000000", TRUTH_COLOUR, answer_colour(who)))
     renderer = rig_renderer(load_rig(rig), 1)
     frames = shot.frames
     true = np.array([row.xyz_mm for row in shot.truth]).reshape(-1, 3)
-    found = np.array([one.world_mm for one in answers]).reshape(-1, 3)
+    found = np.array([one.world_mm for one in answer.detection.teats]).reshape(-1, 3)
     parts = []
     for camera, grey in zip(renderer.cameras, (frames.left, frames.right), strict=False):
         picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
         for u, v in _places(camera.project(true)):
-            cv2.circle(picture, (u, v), 14, GREEN, 2, cv2.LINE_AA)
+            for colour, wide in ((dark, 4), (green, 2)):
+                cv2.circle(picture, (u, v), 14, colour, wide, cv2.LINE_AA)
         for u, v in _places(camera.project(found)):
-            cv2.drawMarker(picture, (u, v), RED, cv2.MARKER_TILTED_CROSS, 22, 2, cv2.LINE_AA)
+            lines = [np.rint(line).astype(np.int32) for line in strokes(answer_mark(who, u, v, 11))]
+            for colour, wide in ((dark, 4), (tone, 2)):
+                cv2.polylines(picture, lines, False, colour, wide, cv2.LINE_AA)
         parts.append(picture)
     if frames.thermal is not None:
         parts.append(cv2.cvtColor(np.asarray(frames.thermal), cv2.COLOR_GRAY2BGR))
     high = round(WIDTH_PX * parts[0].shape[0] / parts[0].shape[1])
     sized = [cv2.resize(one, (WIDTH_PX, high), interpolation=cv2.INTER_AREA) for one in parts]
     return np.asarray(np.concatenate(sized, axis=1), dtype=np.uint8)
+
+
+def _bgr(colour: str) -> tuple[int, int, int]:
+    red, green, blue = bytes.fromhex(colour[1:])
+    return blue, green, red
 
 
 def _places(px: NDArray[np.float64]) -> Sequence[tuple[int, int]]:

@@ -72,14 +72,14 @@ ON_HINT = "Is the arm switched on, plugged in, and on this port? Close other pro
 CABLE_HINT = "Check cable, plugs and baud rate"
 _CONFIRM_HINT = (
     "Confirm it if the stylus sat on its peg when the arm was last switched on; "
-    "else put the stylus on its peg, switch the arm off and on, sign on, and confirm"
+    "else put the stylus on its peg, switch the arm off and on, and confirm"
 )
 _HOME_HINT = (
     "Put the stylus on its peg and home the arm ('teatbench arm home'), or switch it off and on"
-    " there and sign on again"
+    " there and try again"
 )
 _BACK_HINT = (
-    "Check power and cable, and sign on again; if it lost its power, switch it on with its stylus"
+    "Check power and cable, and try again; if it lost its power, switch it on with its stylus"
     " on its peg"
 )
 _DOUBT = (
@@ -368,7 +368,7 @@ class MicroScribe:
                 return info
             seen.append(info)
         what = f"the arm's data came differently each of {READINGS} times"
-        asked, hint = "names, maxima, parameters", "Check cable and plugs, then sign on again"
+        asked, hint = "names, maxima, parameters", "Check cable and plugs, then try again"
         raise last or ProtocolError(self.who, what, asked=asked, hint=hint)
 
     def _read_once(self) -> DeviceInfo:
@@ -450,7 +450,7 @@ class MicroScribe:
             self._untidy = True
             unusable = isinstance(error, conf.BlockLengthError)
             kind = UnusableArmError if unusable else ProtocolError
-            what, hint = f"{error}", f"{CABLE_HINT}, then sign on again"
+            what, hint = f"{error}", f"{CABLE_HINT}, then try again"
         raise kind(self.who, what, asked=asked, seen=reply, seconds=seconds, hint=hint)
 
     def _incoming(self, deadline_s: float) -> Iterator[bytes]:

@@ -70,7 +70,7 @@ _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
 )
 NOISE_HINT = (
     "No known device talks so: is the baud rate right, and is it the arm's port? Else switch the"
-    " arm off and on, and sign on again"
+    " arm off and on, and try again"
 )
 
 

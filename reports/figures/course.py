@@ -184,7 +184,7 @@ def found_bars(
     row_names(axes, situations)
     axes.set(xlim=(0, 1.28), ylim=(len(situations) - 0.45, -0.55))
     axes.set(xlabel="share of visible teats found", xticks=[0, 0.25, 0.5, 0.75, 1])
-    axes.xaxis.set_major_formatter(PercentFormatter(1))
+    axes.xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
     legend(figure, [("this run", role, "patch"), ("thesis, section 5.2", "muted", "patch")])
 
 

@@ -93,7 +93,7 @@ def change_by_situation(
         for share, (role, form), size in zip(shares, looks, (6.5, 4.5), strict=False):
             marks(poses, [share], [y], role, size, form)
     poses.set(xlim=(-0.03, 1.03), xlabel="poses right")
-    poses.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    poses.xaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
     distance.axvline(0, color=COLOURS["muted"], linewidth=0.8)
     distance.axvline(margin_mm, color=COLOURS["limit"], linewidth=1, linestyle="--")
     for y, change in enumerate(change_mm):
@@ -171,7 +171,7 @@ def error_histogram(
     steps = (np.r_[0, ordered[at], reach], np.r_[0, (at + 1) / errors.size, 1])
     share.step(*steps, where="post", color=COLOURS["ink"])
     share.set(ylim=(0, 1.1), ylabel="share at or below")
-    share.yaxis.set_major_formatter(PercentFormatter(1))
+    share.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
     share.grid(visible=False)
     share.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
     if accept_mm is not None:

@@ -234,7 +234,8 @@ def error_regions(
     legend(figure, [*entries, *limits(limit_mm)])
     shown = sum(map(len, drawn))
     if shown < sum(counts):
-        figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
+        left_out = count_text(shown, sum(counts))
+        figure.axes[0].set_title(left_out, loc="left", fontsize=8.5, color=COLOURS["muted"])
 
 
 def _flat(views: Sequence[ArrayLike]) -> list[Floats]:

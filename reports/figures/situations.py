@@ -70,7 +70,7 @@ def error_strips(
     axes = figure.add_subplot()
     for at, (y, one, (role, form)) in enumerate(_each(arrays, _WIDTH)):
         if not one.size:
-            _muted(axes, 0, y, " none found")
+            _muted(axes, 0, y, "none found")
             continue
         rows = y + step * 0.13 * (np.arange(one.size) % 5 - 2).astype(np.float64)
         of, drawn = opened[at] if opened else None, subsample(one, most)
@@ -125,7 +125,7 @@ def rate_intervals(families: Sequence[str], rates: Mapping[str, Sequence[Rate | 
     _ticks(axes, ticks, lambda value: f"{100 * value:g} %")
     for y, rate, (role, form) in _each(rates, _NARROW):
         if rate is None:
-            _muted(axes, 0.0, y, " not measured")
+            _muted(axes, 0.0, y, "not measured")
             continue
         axes.plot(rate[1:], [y, y], color=COLOURS[role], linewidth=1.6)
         marks(axes, rate[:1], [y], role, 5, form, clip_on=False)
@@ -151,7 +151,7 @@ def error_spreads(
     axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
     for y, one, (role, form) in _each(spreads, _NARROW):
         if one is None:
-            _muted(axes, low, y, " none found")
+            _muted(axes, low, y, "none found")
             continue
         axes.plot([one[0], one[4]], [y, y], color=COLOURS[role], linewidth=1)
         axes.plot([one[1], one[3]], [y, y], color=COLOURS[role], linewidth=3.2)
@@ -213,7 +213,11 @@ def _key(detectors: Mapping[str, object]) -> list[LegendEntry]:
 
 
 def _muted(axes: Axes, x: float, y: float, text: str) -> None:
-    axes.text(x, y, text, va="center", color=COLOURS["muted"], fontsize=7)
+    """A note in place of a mark, clear of the axis's line."""
+    muted = COLOURS["muted"]
+    axes.annotate(
+        text, (x, y), (4, 0), textcoords="offset points", va="center", color=muted, fontsize=7
+    )
 
 
 def _ticks(axes: Axes, ticks: Sequence[float], text: Callable[[float], str]) -> None:

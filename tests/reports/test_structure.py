@@ -219,7 +219,8 @@ def test_the_first_screen_leads_to_the_worst_three(sample: tuple[Page, Path], ht
     spans = read(shown).all("span")
     looks = [span.text for span in spans if span.attributes.get("class") == "looks"]
     assert looks == ["Look first at Trial 5, Trial 2, Trial 6."]
-    assert '<a href="#trial-005">Trial 5</a>, <a href="#trial-002">' in shown
+    together = '<a href="#trial-005">Trial 5</a>,</span> <span><a href="#trial-002">'
+    assert together in shown, "a comma doesn't begin a line"
     assert "Look first at" not in html
     aborted = dataclasses.replace(page, banner=dataclasses.replace(page.banner, verdict="aborted"))
     assert "Look first at" not in render(aborted)

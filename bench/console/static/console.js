@@ -16,8 +16,8 @@ async function exchanged(code) {
 const CLIENT = sessionStorage.getItem("client") || crypto.randomUUID();
 sessionStorage.setItem("client", CLIENT);
 const NAME = /Mobi|Android/.test(navigator.userAgent) ? "a telephone or tablet" : "a computer's browser";
-const RETRY_MS = 1000, SILENT_S = 5, EVENTS = 40, TRUTH = "#2fbf71", TONES = ["#3d8fe5", "#e5a13d", "#c678dd", "#8a97a5"];
-// of an answer by its detector's place, as in the report: cross, square, triangle, diamond
+const RETRY_MS = 1000, SILENT_S = 5, EVENTS = 40, TRUTH = "#5dff8f", TONES = ["#7cc4ff", "#ffb454", "#e9a6ff", "#ffffff"];
+// of an answer by its detector's place, colours and marks as in the report: cross, square, triangle, diamond
 const MARKS = ["✕", "□", "△", "◇"], form = (who) => (who - 1 + Math.floor((who - 1) / 4)) % 4;
 const marked = (who, x, y, r) => [`M${x - r} ${y - r}l${2 * r} ${2 * r}M${x - r} ${y + r}l${2 * r} ${-2 * r}`, `M${x - r} ${y - r}h${2 * r}v${2 * r}h${-2 * r}z`, `M${x} ${y - 1.2 * r}L${x + r} ${y + r}H${x - r}z`, `M${x} ${y - 1.3 * r}L${x + 1.3 * r} ${y}L${x} ${y + 1.3 * r}L${x - 1.3 * r} ${y}z`][form(who)];
 const SHOWN = { left: "left camera", right: "right camera", thermal: "thermal camera" };
@@ -548,7 +548,8 @@ function starter(known) {
   } }, "Add a script after it");
   const scripts = () => [script, ...more].map((one) => one.value);
   const [speedLabel, speed] = choice("Speed of emulated rigs", Object.keys(SPEEDS), "in real time");
-  const chosen = () => ({ rig: rig.value, scripts: scripts(), detectors: boxes.filter((box) => box.checked).map((box) => box.value), speed: rig.value.startsWith("emulated") ? SPEEDS[speed.value] : 0 });
+  const chosen = () => ({ rig: rig.value, scripts: scripts(), detectors: boxes.filter((box) => box.checked).map((box) => box.value), speed: speed.disabled ? 0 : SPEEDS[speed.value] });
+  rig.onchange = () => { speed.disabled = !known.paced.includes(rig.value); };
   const result = make("div", { id: "dry", role: "status" });
   const tried = make("button", { className: "quiet", id: "try", onclick: async () => {
     tried.disabled = true; problem(""); result.replaceChildren("Going through the script on emulators: this takes a while.");

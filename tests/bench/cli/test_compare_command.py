@@ -160,7 +160,11 @@ def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, 
     assert "passed and now fails" in page
     first = page[: page.index("<details>")]
     worse = f"thesis is worse than fused. Of {SCENES} poses fused got {SCENES} right"
-    assert worse in plain_text(first)
+    read = plain_text(first)
+    assert worse in read
+    assert f"in the report of {run.name}, before thesis is used" in read
+    assert "how much farther thesis's points lie from the teat ends than fused's" in read
+    assert "new one" not in read, "detectors of one run have names"
     assert all(f">{name}</span>" in first for name in list(hints("comparison"))[:-1]), (
         "one situation"
     )

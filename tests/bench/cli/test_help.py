@@ -94,6 +94,10 @@ def test_a_person_is_told_what_comes_next(
     assert then == "  teatbench run demo --rig RIG --dry-run\n  teatbench run demo --rig RIG\n"
     assert main(["trials", "--json"]) == 0
     assert "Then" not in capsys.readouterr().out
+    monkeypatch.setattr("bench.cli.main.call", lambda _: 0)
+    assert main(["run", "demo", "--dry-run"]) == 0
+    then = capsys.readouterr().out.partition("Then, for instance:\n")[2]
+    assert then == "  teatbench run demo --rig RIG\n  teatbench trials show demo\n", "no report"
 
 
 def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:

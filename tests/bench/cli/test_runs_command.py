@@ -62,8 +62,10 @@ def test_false_ends_are_counted_where_no_teat_is_visible(
 def test_the_page_stands_alone(said: Said, runs: Path) -> None:
     with patch("bench.report.runs.control_chart", wraps=control_chart) as drawn:
         seen = said(0, "runs {}", runs).out
-    day, of_last = drawn.call_args.args[4]
-    assert day == f"{day[:10]} {of_last}", "a chart of one day: the times of its two ends"
+    first, of_last = drawn.call_args.args[4]
+    time, day = first.split("\n")
+    assert time == of_last, "a chart of one day: the times of its two ends"
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", day)
     assert re.search(r"3 runs, \d{4}-\d\d-\d\d; (?s:.*)not a run: foreign", seen), "one day, once"
     page = (runs / "index.html").read_text(encoding="utf-8")
     assert f"Page: {runs / 'index.html'}" in seen

@@ -119,7 +119,9 @@ def test_started_from_the_page_a_run_outlives_its_console(tmp_path: Path) -> Non
     files(tmp_path, script=SCRIPT)
     one = served.serve(tmp_path / "runs", tmp_path)
     try:
-        assert one.ask("/choices").body["rigs"][-2:] == ["emulated-depth", "rig.toml"]
+        found = one.ask("/choices").body
+        assert found["rigs"][-2:] == ["emulated-depth", "rig.toml"]
+        assert found["paced"] == found["rigs"], "a user's emulated rig has a speed as ours have"
         wrong = one.ask("/start", {"rig": "../rig.toml", "script": "script.toml"})
         assert (wrong.status, "there is no rig" in wrong.body["error"]) == (422, True)
         chosen = {"rig": "rig.toml", "script": "script.toml", "detectors": []}

@@ -241,7 +241,7 @@ UNDER_WAY: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
         ("Running", "waiting for an answer: touch", "stable"),
     ),
     ({"paused": True, "doing": ""}, ("Running, a pause is asked for", "", "stable at")),
-    ({"instruments": (SILENT,)}, ("Running", "", "bath: no answer for 600 s")),
+    ({"instruments": (SILENT,)}, ("Running", "", "bath: no answer for 10 min")),
     ({"step": GOING_TO_SAFE}, ("Going to safe", "", "going to safe")),
     (
         {"wall_time": "2026-11-26T10:00+00:00"},

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from hashlib import sha256
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ from bench.rig.lock import locked
 from instruments.clock import stopwatch_s
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox, read_answer
+from reports.frames import ANSWER_COLOURS, TRUTH_COLOUR
 from tests.bench.small_run import KEPT
 
 TOKEN, HOST, TICKET = "right-token", "127.0.0.1:8421", "ticket"
@@ -269,3 +272,14 @@ def test_a_run_that_never_began_or_can_t_be_read_hides_no_other(tmp_path: Path) 
     for name in ("never-began", "torn"):
         with pytest.raises(ConfigError):
             snapshot(tmp_path / name)
+
+
+def test_a_detector_has_the_colour_that_it_has_over_the_frames_of_a_report() -> None:
+    script = files("bench.console").joinpath("static/console.js").read_text(encoding="utf-8")
+    tones = re.search(r"TONES = (\[.*?\])", script)
+    truth = re.search(r'TRUTH = "(#\w+)"', script)
+    assert tones
+    assert truth
+    assert (tuple(json.loads(tones[1])), truth[1]) == (ANSWER_COLOURS, TRUTH_COLOUR)
+    style = files("reports").joinpath("templates/frames.css").read_text(encoding="utf-8")
+    assert f".layer-truth{{color:{TRUTH_COLOUR}}}" in style

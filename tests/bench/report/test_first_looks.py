@@ -18,7 +18,7 @@ from tests.bench.small_run import KEPT
 BASELINE, UNDER_TEST = "thesis", "fused"
 
 
-def run_with(failures: dict[str, Collection[int]]) -> RunRecord:
+def run_with(failures: dict[str, Collection[int]], repeats: int = 6) -> RunRecord:
     """A run of six trials in which the detectors failed so; later failures are the worse ones."""
     kept = read_run(KEPT)
     (score,) = kept.trials[0].scores.values()
@@ -31,7 +31,12 @@ def run_with(failures: dict[str, Collection[int]]) -> RunRecord:
             )
             for name, failed in failures.items()
         }
-        head = {**kept.trials[0].head, "id": f"{number:03d}-pose", "number": number}
+        own = {
+            "id": f"{number:03d}-pose",
+            "number": number,
+            "name": f"pose-{(number - 1) // repeats}",
+        }
+        head = {**kept.trials[0].head, **own}
         trials.append(replace(kept.trials[0], head=head, scores=scores))
     facts = {**kept.facts, "detectors": list(failures)}
     return replace(kept, facts=facts, trials=tuple(trials))
@@ -66,6 +71,14 @@ def test_the_first_card_is_a_failure_where_there_is_one() -> None:
     assert [first.head["number"]] == numbers(run, {UNDER_TEST})[:1] == [2]
 
 
+def test_other_poses_come_before_repeats_of_one() -> None:
+    """Frames of one pose show the same thing; a pose that succeeded comes after each failure."""
+    run = run_with({UNDER_TEST: [1, 2, 5, 6]}, repeats=2)
+    assert numbers(run) == [6, 2, 5, 1]
+    looked = [int(trial.head["number"]) for trial, _ in first_trials(run).values()]
+    assert looked == [6, 2, 5, 1], "three of the worst, and a typical one"
+
+
 @pytest.mark.parametrize(
     ("verdict", "undecided"),
     [(Verdict.INCONCLUSIVE, True), (Verdict.NOT_MEASURED, True), (Verdict.NOT_MET, False)],
@@ -78,5 +91,19 @@ def test_whom_the_run_has_not_decided(verdict: Verdict, undecided: bool) -> None
     for own, called in ({"arm", "bath"}, "own"), ({"arm", "bath", "error"}, "other ones"):
         (*_, last) = scoreboard([Judgement(UNDER_TEST, made, frozenset(own))]).rows
         assert last[0] == f"The bench's {called}"
-        assert last[2][0] is not None
-        assert last[2][0].value == "2 of 2"
+        (score,) = last[2]
+        assert score is not None
+        assert score.value == "2 of 2"
+
+
+def test_what_the_bench_shows_stands_under_no_detector() -> None:
+    """Beside two detectors it spans their columns; a check that failed has a row of its own."""
+    decision = Decision(name="bath", verdict=Verdict.MET, limit=5.0, rule="", sentence="")
+    made = (decision, replace(decision, name="arm", verdict=Verdict.NOT_MET))
+    both = [Judgement(name, made, frozenset({"arm", "bath"})) for name in (UNDER_TEST, BASELINE)]
+    board = scoreboard(both)
+    assert [(name, len(scores)) for name, _, scores in board.rows] == [
+        ("Bench: bath", 1),
+        ("Bench: arm", 1),
+    ]
+    assert set(board.shared) == {"Bench: bath", "Bench: arm"}

@@ -8,13 +8,14 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import bench.report
 from bench.report.chapters import sections
 from bench.report.statements import note_on_statements
-from bench.report.wording import MORE, NOT_MEASURED, number, shown, spanned
+from bench.report.wording import MORE, NOT_MEASURED, formatted, number, shown, spanned
 from bench.script.model import Rules
 from reports.page import Column, Fold, Paragraph, Section, Table
 
@@ -76,3 +77,17 @@ def test_a_chapter_without_a_part_is_left_out() -> None:
     chapters = {"figures": ("Figures", iter(())), "time": ("Time", [Paragraph("2 s")])}
     (only,) = sections(chapters, {"time": "of detections"}, folded=True)
     assert (only.id, only.title, only.folded, only.about) == ("time", "Time", True, "of detections")
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "text"),
+    [
+        (-1.77e-5, "+.3g", "-0.0000177"),
+        (2.5e-6, "+.3g", "+0.0000025"),
+        (0.000263, "+.3g", "+0.000263"),
+        (-0.001, ".2f", "0.00"),
+        (float("nan"), "+.3g", "+nan"),
+    ],
+)
+def test_a_figure_has_no_exponent(value: float, form: str, text: str) -> None:
+    assert formatted(value, form) == text

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from bench.cli.main import main
-from bench.report.summary import _plain
+from bench.record.reader import read_run
+from bench.report.summary import _plain, of_run
+from bench.results.status import Reported, status_of
+from bench.results.verdicts import judge, stored_rules
 from tests.bench.small_run import KEPT
 
 
@@ -48,6 +52,20 @@ def test_a_run_and_a_comparison_stand_in_one_file(
     assert both.startswith(text)
     assert len(tables(both)) == 3
     assert main(["report", "latest", "--no-pdf", "--summary", str(tmp_path)]) == 2
+
+
+def test_what_the_bench_shows_stands_once_beside_two_detectors() -> None:
+    run = read_run(KEPT)
+    (own,) = judge(run, stored_rules(KEPT))
+    both = (own, replace(own, detector="thesis"))
+    made = Reported(KEPT, KEPT, run, both, status_of(run, both))
+    detectors, bench = tables(of_run(made))
+    assert detectors[0] == ["requirement", "limit", "fused", "thesis"]
+    assert [row[0] for row in detectors[2:]] == ["error", "time"]
+    assert bench[0] == ["of the bench", "limit", "shown"]
+    assert [row[0] for row in bench[2:]] == ["bath"]
+    (alone,) = tables(of_run(replace(made, judgements=(own,))))
+    assert {row[0] for row in alone[2:]} == {"bath", "error", "time"}
 
 
 @pytest.mark.parametrize("text", ["a|b", "<script>", "[x](y)", "line\nline", "# head", "`c`"])

@@ -49,7 +49,7 @@ def test_a_value_beyond_the_limits_is_said_and_few_runs_have_none() -> None:
     (few,) = charts(runs_of([*usual[:-2], 9.0], days=0.1))
     assert (few.limits, few.warning) == (None, "")
     (chart,) = charts(runs_of([*usual, 0.4], days=0.1))
-    assert chart.warning.endswith("0.20 mm as a rule: beyond 3 standard deviations")
+    assert chart.warning.endswith("usually 0.20 mm: beyond 3 standard deviations")
     (age,) = charts(runs_of([float(k) for k in range(30)], "calibration_days"))
     assert (age.limits, age.trend) == (None, None)
     both = runs_of(usual) + [replace(one, rig="other") for one in runs_of(usual)]
@@ -80,6 +80,19 @@ def test_a_run_is_read_once_and_anew_where_it_changed(
     assert len(json.loads((tmp_path / KEPT).read_text(encoding="utf-8"))["runs"]) == 1
     shutil.rmtree(folder)
     assert history(tmp_path) == history(tmp_path / "nowhere") == []
+
+
+def test_a_run_on_a_rig_that_another_script_heated_settles_in_no_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(RUN, tmp_path / "1")
+    (alone,) = history(tmp_path)
+    run = read_run(RUN)
+    warm = replace(run, facts={**run.facts, "asked": {"warm": True}})
+    monkeypatch.setattr(health, "read_run", lambda _: warm)
+    (tmp_path / KEPT).unlink()
+    (found,) = history(tmp_path)
+    assert {*alone.values} - {*found.values} == {"stable_min"}
 
 
 def test_runs_of_another_rig_crowd_out_none_of_this_one(tmp_path: Path) -> None:

@@ -198,6 +198,11 @@ def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) ->
         (replace(BATH, age_s=12.0), "bath 33.00 degC, stable (12 s ago)"),
         (replace(BATH, name="arm", last="", age_s=1.0), "arm: answers"),
         (replace(BATH, name="arm", last="", age_s=36.0), "arm: answered 36 s ago"),
+        (replace(BATH, name="arm", last="", age_s=2459.0), "arm: answered 41 min ago"),
+        (
+            replace(BATH, link=Link.SILENT, age_s=600.0),
+            "bath: no answer for 10 min (last 33.00 degC, stable)",
+        ),
         (replace(BATH, name="cameras", last="", age_s=None), "cameras: connected"),
     ],
 )

@@ -13,6 +13,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import expect
 
 import bench
 from bench.cli.main import main
@@ -25,9 +26,12 @@ from instruments.camera.frame import FrameError
 from instruments.clock import PacedClock, VirtualClock, stopwatch_s
 from instruments.errors import InstrumentError
 from tests.bench.campaign.small_campaign import write_small_rig
+from tests.chromium import Scheme, browser_page, violations, weak_texts
 from tests.ports import free_ports
+from tests.waiting import PATIENCE_S
 
 ALL = ("arm", "bath", "stage", "cameras")
+SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 
 
 @pytest.fixture
@@ -139,3 +143,24 @@ def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
             assert "  left: " in said
     with closing(socket.create_server(("127.0.0.1", base))):
         assert main(["emulate", str(small), "--port-base", str(base)]) == 2
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+def test_the_page_follows_the_cables_and_can_be_read_by_everybody(tmp_path: Path) -> None:
+    with browser_page() as seen:
+        page = seen.page
+        page.context.set_offline(False)
+        soon_ms = 1000.0 * PATIENCE_S
+        with bench.serve_rig(write_small_rig(tmp_path)) as served:
+            page.goto(served.page_url)
+            assert violations(page, contrast=False) == []
+            for scheme in SCHEMES:
+                page.emulate_media(color_scheme=scheme)
+                assert weak_texts(page) == []
+            post(served.page_url, "pull bath")  # by another page
+            page.get_by_role("button", name="put back bath").click(timeout=soon_ms)
+            pull = page.get_by_role("button", name="pull bath")
+            expect(pull).to_be_visible(timeout=soon_ms)
+        gone = page.get_by_role("status")
+        expect(gone).to_contain_text("The emulators don't answer", timeout=soon_ms)

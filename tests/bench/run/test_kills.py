@@ -309,5 +309,6 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
         for where in (" ".join(text.split()) for text in texts):
             assert words in where, (words, where[:2000])
         assert words.split(":")[0] in warned
+        assert f"<strong>{words}</strong>" in page, "before all else to do"
     assert ("NOT SAFE" in warned) == bool(status.unsafe)
     assert bool(status.unsafe) == bool(re.search("NOT SAFE", said))

@@ -9,6 +9,7 @@ import pytest
 
 from bench.record.schema import Row
 from bench.rig.model import SafetyLimits
+from bench.run.live import bath_state
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, InterlockTrip
 from bench.safety.stability import StabilityGate, State
@@ -119,3 +120,11 @@ def test_a_bath_that_falls_silent_is_shown_so_and_a_watch_that_has_ended_is_not(
     calm.watch.end()
     calm.clock.sleep(60.0)
     assert calm.watch.silence == "", "it is asked for nothing more"
+
+
+def test_time_left_is_that_of_a_person_who_watches_a_faster_world() -> None:
+    w = Watched(wobble)
+    w.clock.sleep(10.0)
+    left = [bath_state(w.watch, 600.0, speed)["stable_in_s"] for speed in (1.0, 10.0)]
+    assert left[0] > 0.0
+    assert left[1] == pytest.approx(left[0] / 10.0)

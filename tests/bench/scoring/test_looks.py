@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Hashable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -236,3 +238,17 @@ def test_the_figures_of_the_docs(
     sure = test.looks.first_confidence(0.95)
     assert spent_on(poses, 0.95, sure)[0] == pytest.approx(spent, abs=5e-5)
     assert test.more(Rate(poses - failed, poses)) == more
+
+
+def test_what_a_further_look_needs_is_as_the_page_says() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "scoring.md").read_text(encoding="utf-8")
+    row = re.compile(
+        r"^\| (\d+) poses, (none|one) failed \|.*\| (\d+) more \| (\d+) more \|$", re.M
+    )
+    rows = row.findall(page)
+    assert len(rows) == 3
+    for poses, failed, *needed in rows:
+        n = int(poses)
+        shown = Rate(n - (failed == "one"), n)
+        test = RateTest(0.95, 0.95)
+        assert [test.more(shown, leaks=leaks) for leaks in (False, True)] == [*map(int, needed)]

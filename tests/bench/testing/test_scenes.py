@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, find, given, seed, settings
 from hypothesis import strategies as st
@@ -156,6 +157,17 @@ def test_a_sample_of_the_neighbours_says_so_and_names_the_plainest_that_passes(
     sample = f"{near.of} scenes one step away looked at, a sample of {len(edge.neighbours())},"
     assert near.of <= 24
     assert str(near) == f"{near.of - 1} of {sample} fail too; {FOUR!r} passes."
+
+
+@pytest.mark.slow
+def test_a_failing_scene_s_picture_has_the_colours_of_a_report() -> None:
+    with pytest.raises(SceneFailedError, match=r"^thesis ") as raised:
+        check("thesis", FOUR)
+    blue, green, red = np.moveaxis(raised.value.picture().astype(int), 2, 0)
+    reddish = red - blue > 100
+    assert reddish.any()
+    assert (green - blue)[reddish].min() > 20, "its answers are orange, not red"
+    assert (blue - red).max() < 100, "and none is blue, as those of fused"
 
 
 @pytest.mark.slow
