@@ -1,8 +1,5 @@
 """The table of kills: each instrument killed, hung and returning, in each state of a run. At every
 moment each surface says the same of the run, and nothing that the wire contradicts.
-
-All cells are the weekly run's. Those of every suite have each instrument, each way and each state at
-least twice; test_fault_catalogue has each state once more.
 """
 
 from __future__ import annotations
@@ -14,6 +11,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -209,16 +207,7 @@ def watched(progress: Events, watch: Watch, kind: str, text: str) -> None:
     watch.event(kind, text)
 
 
-# the way of each run, by the sum of the places of instrument and state
-EACH_RUN = {0: "killed", 2: "returning", 4: "hung", 6: "killed"}
-CELLS = [
-    pytest.param(
-        instrument, way, at, marks=() if way == EACH_RUN.get(i + j) else pytest.mark.weekly
-    )
-    for i, instrument in enumerate(INSTRUMENTS)
-    for j, at in enumerate(STATES)
-    for way in WAYS
-]
+CELLS = list(product(INSTRUMENTS, WAYS, STATES))
 
 
 @pytest.mark.slow
