@@ -20,6 +20,7 @@ from typing import Annotated, Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from bench.files import write_synced
 from detector.calibration import Calibration, CalibrationError, load_calibration
 from textfiles.bounds import Bounds
 from textfiles.documents import DocumentError, read_toml
@@ -147,6 +148,15 @@ class ConfigError(Exception):
     def plain(cls, message: str) -> Self:
         """A fault that has no place in a file."""
         return cls(None, [FileFault(0, 0, 0, message)])
+
+
+class UnwrittenError(ConfigError):
+    """The file ``place`` can't be written: ``text`` is what it was to hold."""
+
+    def __init__(self, place: Path, text: str, error: OSError, otherwise: str) -> None:
+        why = f"{place}: can't be written: {refusal(error, otherwise)}"
+        super().__init__(None, [FileFault(0, 0, 0, why)])
+        self.place, self.text = place, text
 
 
 class ArgumentError(ConfigError, ValueError):
@@ -300,6 +310,16 @@ def writing(place: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise ConfigError.plain(f"{place}: can't be written: {refusal(error)}") from error
+
+
+def write_file(place: Path, text: str, otherwise: str = "") -> None:
+    """Write what a person worked for, whole or not at all. Raises UnwrittenError, which has the
+    ``text`` still; ``otherwise``: what to do, but for a full disk.
+    """
+    try:
+        write_synced(place, text.encode("utf-8"))
+    except OSError as error:
+        raise UnwrittenError(place, text, error, otherwise) from error
 
 
 def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:

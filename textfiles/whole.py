@@ -12,6 +12,9 @@ from pathlib import Path
 from textfiles.text import full_stop, words_of
 
 
+TRIED = 1 << 16  # more than a file that a person works for has
+
+
 def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
     """``data`` at ``path``: who reads it finds all of it, or what was there; ``synced``: after a
     crash too. Raises OSError, which names the file; nothing is left beside it then.
@@ -43,6 +46,15 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
     for path, part in parts.items():
         part.replace(path)
     return list(parts)
+
+
+def try_write(path: Path) -> None:
+    """Raises OSError where a file of `TRIED` bytes can't be written at ``path``. Leaves nothing."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(bytes(TRIED))
+    finally:
+        part.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -16,8 +16,7 @@ from scipy.special import chdtri
 
 from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import pattern_of, write_picture
-from bench.config import ConfigError, read_text
-from bench.files import write_synced
+from bench.config import ConfigError, read_text, write_file
 from bench.rig.arm_files import axes_of
 from bench.truth.touching import TipReader
 from detector.calibration import Part, Record
@@ -214,9 +213,9 @@ def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPo
         parts.append((*seen, under_ball(centres, axes, asking.tip_radius_mm)))
     points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
     rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
-    table = io.BytesIO()
+    table = io.StringIO()
     np.savetxt(table, rows, "%.4f", ",", header=",".join(POINT_COLUMNS), comments="")
-    write_synced(folder / POINTS_FILE, table.getvalue())
+    write_file(folder / POINTS_FILE, table.getvalue())
     return points
 
 

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TextIO
 
 from bench.version import __version__
 from textfiles.bounds import Bounds
+from textfiles.whole import try_write
 
 PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
 Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
@@ -88,8 +89,10 @@ def in_switches(text: object, given: argparse.Namespace) -> str:
 def refuse_existing(
     out: Path, *, replace: bool, option: str = "--out", makes_folder: bool = False
 ) -> None:
-    """Raises ConfigError for a file that can't be written; with ``makes_folder`` into a new one."""
-    from bench.config import ConfigError
+    """Raises ConfigError for a file that can't be written, before anybody works for it; with
+    ``makes_folder`` into a new one.
+    """
+    from bench.config import ConfigError, writing
 
     parents = out.resolve().parents
     folder = next(one for one in parents if one.exists()) if makes_folder else parents[0]
@@ -100,6 +103,8 @@ def refuse_existing(
         raise ConfigError.plain(
             f"{option} {out} is there already. Name another file, or give --replace."
         )
+    with writing(out):
+        try_write(folder / out.name)
 
 
 def command_line() -> str:
