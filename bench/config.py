@@ -153,8 +153,7 @@ class ConfigError(Exception):
 class UnwrittenError(ConfigError):
     """The file ``place`` can't be written: ``text`` is what it was to hold."""
 
-    def __init__(self, place: Path, text: str, error: OSError, otherwise: str) -> None:
-        why = f"{place}: can't be written: {refusal(error, otherwise)}"
+    def __init__(self, place: Path, text: str, why: str) -> None:
         super().__init__(None, [FileFault(0, 0, 0, why)])
         self.place, self.text = place, text
 
@@ -309,17 +308,17 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError.plain(f"{place}: can't be written: {refusal(error)}") from error
+        why = refusal(error, "Name another place.")
+        raise ConfigError.plain(f"{place}: can't be written: {why}") from error
 
 
-def write_file(place: Path, text: str, otherwise: str = "") -> None:
-    """Write what a person worked for, whole or not at all. Raises UnwrittenError, which has the
-    ``text`` still; ``otherwise``: what to do, but for a full disk.
-    """
+def write_file(place: Path, text: str) -> None:
+    """Write what a person worked for, whole or not at all. Raises UnwrittenError."""
     try:
-        write_synced(place, text.encode("utf-8"))
-    except OSError as error:
-        raise UnwrittenError(place, text, error, otherwise) from error
+        with writing(place):
+            write_synced(place, text.encode("utf-8"))
+    except ConfigError as error:
+        raise UnwrittenError(place, text, str(error)) from error.__cause__
 
 
 def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:

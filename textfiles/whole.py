@@ -11,7 +11,6 @@ from pathlib import Path
 
 from textfiles.text import full_stop, words_of
 
-
 TRIED = 1 << 16  # more than a file that a person works for has
 
 
@@ -66,9 +65,7 @@ def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> It
         yield
         list(each(sync_folder, folders))
     except BaseException:
-        for new in made:
-            with suppress(OSError):  # something is in it
-                new.rmdir()
+        remove_empty(made)
         raise
 
 
@@ -76,8 +73,19 @@ def _made(folder: Path) -> list[Path]:
     """Make ``folder``; gives back which are new, itself first."""
     missing = [folder, *folder.parents]
     missing = missing[: next((k for k, one in enumerate(missing) if one.is_dir()), 0)]
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        remove_empty(missing)
+        raise
     return missing
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove those of ``folders``, inner ones first, in which nothing is."""
+    for one in folders:
+        with suppress(OSError):  # something is in it, or it was not made
+            one.rmdir()
 
 
 def is_full(error: BaseException | None) -> bool:

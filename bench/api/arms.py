@@ -254,4 +254,4 @@ def write_arm_file(found: TableFrame | VerifiedArm, out: Path | str) -> None:
         text = frame_text(found)
     else:
         text = verification_text(found.verification, found.limits)
-    write_file(Path(out), text, "Name another place as `out`.")
+    write_file(Path(out), text)

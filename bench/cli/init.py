@@ -54,7 +54,7 @@ def init(given: argparse.Namespace) -> int:
     about += [f"Next: teatbench check {in_command(given.out.name)}, then 'teatbench help lab'."]
     text = rig_text(read_text(TO_COPY), values, missing, "\n".join(about))
     parse_config(given.out, text, Rig)
-    write_file(given.out, text, "Name another place as `out`.")
+    write_file(given.out, text)
     for name in missing:
         print(f"not found: {name}; its url is marked in the file")
     print(f"Written: {given.out}. Next: teatbench check {in_command(given.out)}")

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, TypeAdapter
 
-from bench.config import ConfigError, KeyPath, Section, located, read_config, read_text
+from bench.config import KeyPath, Section, located, read_config, read_text
 from bench.toml import toml_text
 from detector.geometry import Motion
 from textfiles.text import plural

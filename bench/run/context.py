@@ -234,10 +234,12 @@ class RunContext:
             yield SAFING
             if self._asked:
                 yield "The open question needs no answer any more."
-        elif self.away:
-            yield self.check_away
-        elif any(one.trouble and one.name == "bath" for one in status.instruments):
-            yield "Check the bath's power and its cable. Where it stays silent, an interlock trips."
+        elif self.away or any(one.trouble and one.name == "bath" for one in status.instruments):
+            if self.watch.failing and self.away != "bath":  # it may heat: before all others
+                cable = "Check the bath's power and its cable."
+                yield f"{cable} Where it stays silent, an interlock trips."
+            if self.away:
+                yield self.check_away
         elif self._camera_gone:
             yield "Check the cameras' power and cables, before the next frames."
         elif status.asked:

@@ -175,7 +175,9 @@ class Events:
         self.notify: Callable[[str], None] = lambda _: None
 
     @contextmanager
-    def kept_in(self, folder: Path, recorded: Callable[[], Sequence[Row]] = tuple) -> Iterator[None]:
+    def kept_in(
+        self, folder: Path, recorded: Callable[[], Sequence[Row]] = tuple
+    ) -> Iterator[None]:
         """Written to `EVENTS_FILE` in ``folder`` too, on from its last number, with those of the
         events ``recorded`` in the run's record that it lacks.
         """
@@ -242,7 +244,7 @@ class Events:
         return status.parts if status else {}
 
     def _write(self, what: str, **more: Any) -> None:
-        if self.replaying and what != "warning":
+        if self.replaying and what != "warning" and more.get("kind") != TRIP:
             return
         with self._lock:
             whole = self._line({"wall_time": _now(), "t_s": self.now_s(), "what": what, **more})
@@ -266,7 +268,9 @@ class Events:
         if not (missing := _missing(file, recorded)):
             return
         since = missing[0]["wall_time"]
-        text = f"Lines since {since} are missing here. Of the record's events, {len(missing)} follow."
+        text = (
+            f"Lines since {since} are missing here. Of the record's events, {len(missing)} follow."
+        )
         warning = {"wall_time": _now(), "t_s": None, "what": "warning", "text": text}
         _append(file, self._line(warning))
         for one in missing:
@@ -339,7 +343,7 @@ def event_lines(path: Path | None) -> Iterator[FileIO | None]:
                 _last_number(there)
         file = FileIO(path, "a")
     except OSError as error:
-        why = f"--events {path}: it can't be opened: {error.strerror or error}"
+        why = f"--events {path}: it can't be opened: {refusal(error, 'Name another file.')}"
         raise ConfigError.plain(why) from error
     try:
         yield file

@@ -410,7 +410,7 @@ def registration_text(registration: Registration) -> str:
 
 def write_registration(path: Path | str, registration: Registration) -> None:
     """Write its file, whole or not at all. Raises ConfigError where the folder can't be written."""
-    write_file(Path(path), registration_text(registration), "Name another place as `out`.")
+    write_file(Path(path), registration_text(registration))
 
 
 def load_registration(path: Path) -> Registration:

@@ -4,7 +4,6 @@ moment each surface says the same of the run, and nothing that the wire contradi
 
 from __future__ import annotations
 
-import copy
 import html
 import io
 import json
@@ -163,13 +162,16 @@ def queue_of(run: Path) -> QueueNote:
 
 
 def same(status: Mapping[str, Any]) -> dict[str, Any]:
-    """What two readers of one moment have to agree on."""
-    kept = copy.deepcopy(dict(status))
-    for key in ("wall_time", "age_s", "why", "headline"):
+    """What two readings of one moment have to agree on: ages as the run said them."""
+    kept = json.loads(json.dumps(status))
+    since_s = kept.pop("age_s")
+    for key in ("wall_time", "why", "headline"):
         kept.pop(key)
     for one in kept["instruments"]:
-        one.pop("age_s"), one.pop("text")
-    kept["asked"] = kept["asked"] and kept["asked"]["kind"]
+        one.pop("text")
+        one["age_s"] = None if one["age_s"] is None else round(one["age_s"] - since_s, 3)
+    if asked := kept["asked"]:
+        kept["asked"] = asked["kind"], round(asked["waited_s"] - since_s, 3)
     return kept
 
 
