@@ -163,7 +163,7 @@ def queue_of(run: Path) -> QueueNote:
 
 def same(status: Mapping[str, Any]) -> dict[str, Any]:
     """What two readings of one moment have to agree on: ages as the run said them."""
-    kept = json.loads(json.dumps(status))
+    kept: dict[str, Any] = json.loads(json.dumps(status))
     since_s = kept.pop("age_s")
     for key in ("wall_time", "why", "headline"):
         kept.pop(key)

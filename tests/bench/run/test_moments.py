@@ -23,6 +23,7 @@ from bench.record.writer import Store
 from bench.report import summary
 from bench.report.page import write_run_report
 from bench.report.runs import list_runs, write_queue_page
+from bench.results.exports import drop_report
 from bench.results.queue import queues
 from bench.results.status import Link, RunStatus, Safe, read_status
 from bench.rig.loading import load_rig
@@ -30,7 +31,7 @@ from bench.rig.model import Rig
 from bench.run import start as run_start
 from bench.run.events import Events, read_events
 from bench.run.live import Live
-from bench.run.start import RunOptions, drop_report, resume_run, run_queue
+from bench.run.start import RunOptions, resume_run, run_queue
 from bench.safety.bath_monitor import PERIOD_S
 from bench.script.model import LoadedScript, load_script
 from instruments.listener import Connection
@@ -75,12 +76,19 @@ class Moment(Watch):
     def published(self, folder: Path, status: RunStatus) -> None:
         if self.lost:
             super().published(folder, status)
-        rig, links = self.rig or self.twin, tuple(one.link for one in status.instruments)
-        self.times += [(rig._clock.now(), status)] if rig else []
-        if rig and (rig._clock.now() >= self.next_s or links != self.links):
-            self.next_s, self.links = rig._clock.now() + EACH_S, links
+        if rig := self.rig or self.twin:
+            self.times.append((rig._clock.now(), status))
+        if self.compares(status):
+            self.next_s, self.links = self.times[-1][0] + EACH_S, links_of(status)
             self.compared.append(status)
             all_say(folder, status)
+
+    def compares(self, status: RunStatus) -> bool:
+        """Whether all surfaces are compared now."""
+        rig = self.rig or self.twin
+        return rig is not None and (
+            rig._clock.now() >= self.next_s or links_of(status) != self.links
+        )
 
     def event(self, kind: str, text: str) -> None:
         super().event(kind, text)
@@ -130,6 +138,10 @@ def all_say(folder: Path, status: RunStatus) -> None:
     drop_report(folder)
 
 
+def links_of(status: RunStatus) -> tuple[Link, ...]:
+    return tuple(one.link for one in status.instruments)
+
+
 def lost(status: RunStatus, name: str) -> bool:
     return next(one for one in status.instruments if one.name == name).trouble
 
@@ -137,11 +149,13 @@ def lost(status: RunStatus, name: str) -> bool:
 @contextmanager
 def seen(watch: Moment) -> Iterator[Events]:
     """What happens in a run is known to ``watch``, in virtual time, to a person all the same."""
-    write, asked_by_person = Live.write, []
+    asked_by_person: list[bool] = []
+    write = Live.write
 
     def published(live: Live, status: RunStatus, more: Mapping[str, Any]) -> None:
         asked_by_person[:] = [True]  # it is open
-        write(live, status, more)
+        if watch.lost or watch.compares(status):
+            write(live, status, more)
         if not live.ended:
             watch.published(live._folder.parent, status)
 
