@@ -24,7 +24,7 @@ from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
 from bench.run.events import EVENT, FAILURES, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
-from bench.safety.bath_monitor import BathMonitor, TripHandler
+from bench.safety.bath_monitor import LATE_S, BathMonitor, TripHandler
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
@@ -267,7 +267,10 @@ class RunContext:
             if failing := self.watch.failing:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last and name in devices.active:
-                last += f", {self.watch.course}"
+                if self.safing and heard_s is not None and now_s - heard_s > LATE_S:
+                    link, how = Link.SILENT, "no answer"  # to the order to stop
+                else:
+                    last += f", {self.watch.course}"
         if found and not found.is_safe and acts in BY_HAND:
             how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST

@@ -66,6 +66,7 @@ class Watch(Bringer):
     sent_s: dict[str, float] = field(default_factory=dict)
     rig: EmulatedRig | None = None
     queue: QueueNote | None = None
+    failed: list[Exception] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         name = "dropped" if self.cable == "cameras" else HUNG[self.instrument]
@@ -108,6 +109,18 @@ class Watch(Bringer):
     def dead(self) -> bool:
         back_s = BACK_S[self.instrument] if self.way == "returning" else float("inf")
         return self.dead_s + AFTER_S <= self.now_s < self.dead_s + back_s
+
+    def looks(self, folder: Path, status: RunStatus) -> None:
+        """`published`; the bench lets no error of a viewer through, so they are kept."""
+        try:
+            self.published(folder, status)
+        except Exception as error:
+            self.failed.append(error)
+
+    def check(self) -> None:
+        """Raise what was wrong first."""
+        for error in self.failed:
+            raise error
 
     def published(self, folder: Path, status: RunStatus) -> None:
         """A moment of the run."""
@@ -185,7 +198,7 @@ def killed(folder: Path, instrument: str, way: str, at: str) -> tuple[Watch, Pat
     def published(live: Live, status: RunStatus, more: Mapping[str, Any]) -> None:
         write(live, status, more)
         if not live.ended:
-            watch.published(live._folder.parent, status)
+            watch.looks(live._folder.parent, status)
 
     def sent(connection: Connection, data: bytes) -> None:
         watch.sent(connection, data)
@@ -201,6 +214,7 @@ def killed(folder: Path, instrument: str, way: str, at: str) -> tuple[Watch, Pat
             progress, "event", lambda kind, text: watched(progress, watch, kind, text)
         ):
             run, _ = start(folder, progress=progress, how=RunOptions(typed=watch.typed))
+    watch.check()
     return watch, run
 
 
