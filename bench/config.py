@@ -20,14 +20,13 @@ from typing import Annotated, Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from bench.files import write_synced
 from detector.calibration import Calibration, CalibrationError, load_calibration
 from textfiles.bounds import Bounds
 from textfiles.documents import DocumentError, read_toml
 from textfiles.text import TextError, plural, text_of
 from textfiles.text import did_you_mean as did_you_mean
 from textfiles.text import short as short
-from textfiles.whole import refusal
+from textfiles.whole import new_folders, refusal, replace_whole
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(
@@ -315,8 +314,8 @@ def writing(place: Path) -> Iterator[None]:
 def write_file(place: Path, text: str) -> None:
     """Write what a person worked for, whole or not at all. Raises UnwrittenError."""
     try:
-        with writing(place):
-            write_synced(place, text.encode("utf-8"))
+        with writing(place), new_folders(place.parent):
+            replace_whole(place, text.encode("utf-8"), synced=True)
     except ConfigError as error:
         raise UnwrittenError(place, text, str(error)) from error.__cause__
 

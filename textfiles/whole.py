@@ -49,7 +49,7 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
 
 def try_write(path: Path) -> None:
     """Raises OSError where a file of `TRIED` bytes can't be written at ``path``. Leaves nothing."""
-    part = path.with_name(path.name + ".part")
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # nobody's
     try:
         part.write_bytes(bytes(TRIED))
     finally:

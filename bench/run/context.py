@@ -251,6 +251,13 @@ class RunContext:
         else:
             yield AFTER_RUN
 
+    @property
+    def _bath_fails(self) -> str:
+        """As the watch's ``failing``, also once it has ended and the bath is told to stop."""
+        told, last = self.safing and "bath" in self.devices.active, self.watch.last
+        late = told and last is not None and self.clock.now() - last.t_s > LATE_S
+        return self.watch.failing or ("no answer" if late else "")
+
     def _instrument(self, name: str) -> InstrumentStatus:
         devices, now_s = self.devices, self.clock.now()
         # an arm that moves by itself is made safe, and by hand too, as what it is
@@ -264,13 +271,10 @@ class RunContext:
         if name == "bath":
             if reading := self.watch.last:
                 last, heard_s = f"{reading.temp_c:.2f} degC", reading.t_s
-            if failing := self.watch.failing:
+            if failing := self._bath_fails:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last and name in devices.active:
-                if self.safing and heard_s is not None and now_s - heard_s > LATE_S:
-                    link, how = Link.SILENT, "no answer"  # to the order to stop
-                else:
-                    last += f", {self.watch.course}"
+                last += f", {self.watch.course}"
         if found and not found.is_safe and acts in BY_HAND:
             how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST

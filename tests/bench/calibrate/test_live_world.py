@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.calibrate import world
+from bench.calibrate.views import write_picture
 from bench.calibrate.world import TouchSession, gather_points, nine, read_points, under_ball
 from bench.rig.model import Arm
 from bench.truth.touching import TipReader
@@ -91,12 +92,10 @@ def expected() -> Array:
 def test_points_of_one_position_are_kept_whatever_becomes_of_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = world.write_picture
-
     def full(path: Path, image: Grey) -> None:
         if path.name == "position-2.png":
             raise OSError(errno.ENOSPC, "No space left on device")
-        write(path, image)
+        write_picture(path, image)
 
     monkeypatch.setattr(world, "write_picture", full)
     with pytest.raises(OSError, match="No space"):
