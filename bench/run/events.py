@@ -193,12 +193,12 @@ class Events:
                 self._number = max(self._number, _last_number(file))
                 self._catch_up(file, recorded())
                 self._files[EVENTS_FILE] = file
-            except OSError as error:
+            except Exception as error:  # also of a record that can't be read
                 self._file_failed(EVENTS_FILE, error)
             try:
                 yield
             finally:
-                with self._lock, suppress(OSError):  # a disk that is full still
+                with self._lock, suppress(Exception):  # a disk that is full still
                     if not self._files.pop(EVENTS_FILE, None):
                         self._catch_up(file, recorded())
 
@@ -304,13 +304,21 @@ def _append(file: FileIO, line: bytes) -> None:
 def _missing(file: FileIO, recorded: Sequence[Row]) -> Sequence[Row]:
     """Those of the events ``recorded`` that come behind the last one in ``file``."""
     file.seek(0)
-    lines = map(json.loads, file.readall().splitlines()) if recorded else ()
-    there = [(line["kind"], line["text"]) for line in lines if line["what"] == "event"]
+    lines = map(_event_in, file.readall().splitlines() if recorded else ())
+    there = [event for event in lines if event]
     for last in reversed(there):  # one that only the file has says nothing
         same = [i for i, one in enumerate(recorded) if (one["kind"], one["text"]) == last]
         if len(same) >= (times := there.count(last)):
             return recorded[same[times - 1] + 1 :]
     return recorded
+
+
+def _event_in(line: bytes) -> tuple[str, str] | None:
+    """Kind and text of an event; None for another line, or one that was damaged."""
+    with suppress(ValueError, LookupError, TypeError):
+        found = json.loads(line)
+        return (found["kind"], found["text"]) if found["what"] == "event" else None
+    return None
 
 
 def _now() -> str:

@@ -323,7 +323,7 @@ def _run(
         whose = f"at {how.speed:g} times the speed" if how.speed else "of the bench's time"
         note = f"{plural(to_do, 'trial')}, {time_left(left_s)} {whose}"
         how.begun(f"{note}. Run folder: {store.folder}")
-        with events.kept_in(store.folder, lambda: read_run(store.folder).events):
+        with events.kept_in(store.folder, lambda: read_run(store.folder, whole=False).events):
             for text in warned:
                 events.warn(f"Bench health: {text}")
             if store.keeps_pictures:  # a minute's compiling, once: a bench that heats would hang
