@@ -89,7 +89,8 @@ class SanitizedStream:
         except BrokenPipeError:
             self.lose_reader()
         except OSError as error:
-            error.filename = error.filename or self.stream.name.strip("<>")
+            name = str(getattr(self.stream, "name", "output")).strip("<>")
+            error.filename = error.filename or name
             raise
 
     def lose_reader(self) -> None:

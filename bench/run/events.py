@@ -264,7 +264,7 @@ class Events:
         return json.dumps({"number": self._number, **what}, ensure_ascii=False).encode() + b"\n"
 
     def _catch_up(self, file: FileIO, recorded: Sequence[Row]) -> None:
-        """Write the events that ``file`` lacks, and that other lines are missing. OSError."""
+        """Write which events ``file`` lacks, and since when lines are missing. Raises OSError."""
         if not (missing := _missing(file, recorded)):
             return
         since = missing[0]["wall_time"]
