@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from typing import Any
 
 PACKAGES = ("bench", "detector", "instruments", "reports", "textfiles")
-HOME = os.path.dirname(os.path.abspath(__file__))  # noqa: PTH100, PTH120 - pathlib is not loaded yet
 
 
 def hiding() -> str:
-    """What hides a package of teatbench, and what to do; "" where nothing does."""
-    for name in PACKAGES:
-        spec = find_spec(name)
-        origin = (spec and spec.origin) or name
+    """What hides a package of teatbench, and what to do; "" where nothing does: they lie in one
+    folder.
+    """
+    found = {name: getattr(find_spec(name), "origin", None) or name for name in PACKAGES}
+    parents = {name: os.path.split(os.path.split(origin)[0])[0] for name, origin in found.items()}
+    home = max(parents.values(), key=[*parents.values()].count)
+    for name, origin in found.items():
         folder, file = os.path.split(origin)
-        whole = file.startswith("__init__.")
-        parent = os.path.dirname(folder) if whole else folder  # noqa: PTH120
-        if not whole or os.path.realpath(parent) != os.path.realpath(HOME):
-            what = folder if whole else origin
-            kind = "folder" if whole else "file"
-            return f"{what} hides teatbench's package {name!r}: give that {kind} another name"
+        if not file.startswith("__init__."):
+            return f"{origin} hides teatbench's package {name!r}: give that file another name"
+        if parents[name] != home:
+            return f"{folder} hides teatbench's package {name!r}: give that folder another name"
     return ""
 
 

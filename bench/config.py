@@ -26,7 +26,7 @@ from textfiles.documents import DocumentError, read_toml
 from textfiles.text import TextError, plural, text_of
 from textfiles.text import did_you_mean as did_you_mean
 from textfiles.text import short as short
-from textfiles.whole import refusal
+from textfiles.whole import new_folders, refusal, replace_whole
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(
@@ -147,6 +147,14 @@ class ConfigError(Exception):
     def plain(cls, message: str) -> Self:
         """A fault that has no place in a file."""
         return cls(None, [FileFault(0, 0, 0, message)])
+
+
+class UnwrittenError(ConfigError):
+    """The file ``place`` can't be written: ``text`` is what it was to hold."""
+
+    def __init__(self, place: Path, text: str, why: str) -> None:
+        super().__init__(None, [FileFault(0, 0, 0, why)])
+        self.place, self.text = place, text
 
 
 class ArgumentError(ConfigError, ValueError):
@@ -299,7 +307,17 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError.plain(f"{place}: can't be written: {refusal(error)}") from error
+        why = refusal(error, "Name another place.")
+        raise ConfigError.plain(f"{place}: can't be written: {why}") from error
+
+
+def write_file(place: Path, text: str) -> None:
+    """Write what a person worked for, whole or not at all. Raises UnwrittenError."""
+    try:
+        with writing(place), new_folders(place.parent):
+            replace_whole(place, text.encode("utf-8"), synced=True)
+    except ConfigError as error:
+        raise UnwrittenError(place, text, str(error)) from error.__cause__
 
 
 def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:

@@ -37,7 +37,7 @@ from reports.glossary import GlossaryLinks, Term, style_rules
 from reports.page import WORDS, Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart
 from reports.sanitize import page_text, sanitized
 from reports.trust import PageError, address
-from textfiles.whole import new_folders, replace_whole
+from textfiles.whole import new_folders, replace_all, replace_whole
 
 IN_PAGE = 40  # trials, each counted once a detector: more get a file each
 TRIALS = "trials"  # their folder
@@ -230,15 +230,19 @@ def render(page: Page) -> str:
     return Press(page).page(_own(page))
 
 
-def write_report(page: Page, folder: Path) -> Path:
-    """Write `folder/index.html` whole or not at all; many trials get files of their own before.
-    Raises PageError for images that are not there, OSError.
+def write_report(page: Page, folder: Path, more: Sequence[tuple[str, bytes]] = ()) -> Path:
+    """Write `folder/index.html`, with `more` files' names and contents, whole or not at all; many
+    trials get files of their own before. Raises PageError for images that are not there, OSError.
     """
     with new_folders(folder):
-        return _written(page, folder)
+        html, index = _written(page, folder), folder / "index.html"
+        others = ((folder / name, data) for name, data in more)
+        replace_all([*others, (index, html.encode())], synced=True)
+    return index
 
 
-def _written(page: Page, folder: Path) -> Path:
+def _written(page: Page, folder: Path) -> str:
+    """All files of the page but its first, whose text is given back."""
     refuse_missing(page.files(), folder)
     press = Press(page)
     place = _own(page)
@@ -251,9 +255,9 @@ def _written(page: Page, folder: Path) -> Path:
         (folder / TRIALS).mkdir(exist_ok=True)
         for number, trial in enumerate(page.trials):
             target = folder / TRIALS / f"{trial.id}.html"
-            target.write_text(press.trial(number, apart), encoding="utf-8", newline="\n")
+            replace_whole(target, press.trial(number, apart).encode())
     if not apart:
-        return write_whole(folder / "index.html", whole)
+        return whole
     write_whole(folder / WHOLE, whole)
     for name, section in chapters.items():
         trials = place.trials if section.id == page.trials_in else ()
@@ -262,7 +266,7 @@ def _written(page: Page, folder: Path) -> Path:
     if page.glossary:
         there = replace(place, file=GLOSSARY, apart=apart, trials=())
         write_whole(folder / GLOSSARY, press.chapter(there, None))
-    return write_whole(folder / "index.html", press.page(replace(place, apart=apart, trials=())))
+    return press.page(replace(place, apart=apart, trials=()))
 
 
 def _apart(page: Page) -> dict[str, str]:

@@ -11,7 +11,8 @@ import io
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TextIO, cast
 
 REPLACED = "\N{REPLACEMENT CHARACTER}"
@@ -63,7 +64,8 @@ def _is_number(text: str) -> bool:
 
 class SanitizedStream:
     """``stream`` with all text sanitized; write control sequences to ``stream`` itself. Where its
-    reader has gone (`| head`) that is a BrokenPipeError, or with ``goes_on`` no error.
+    reader has gone (`| head`) that is a BrokenPipeError, or with ``goes_on`` no error; an OSError
+    of a file on a full disk names ``stream``.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -71,18 +73,25 @@ class SanitizedStream:
 
     def write(self, text: str) -> int:
         """Write ``text`` without what it may not hold."""
-        try:
+        with self._watched():
             self.stream.write(text if text in _OWN else sanitized(text))
-        except BrokenPipeError:
-            self.lose_reader()
         return len(text)
 
     def flush(self) -> None:
         """As of the stream."""
-        try:
+        with self._watched():
             self.stream.flush()
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
         except BrokenPipeError:
             self.lose_reader()
+        except OSError as error:
+            name = str(getattr(self.stream, "name", "output")).strip("<>")
+            error.filename = error.filename or name
+            raise
 
     def lose_reader(self) -> None:
         """Amid a BrokenPipeError: what is still written goes nowhere, or the error is raised."""

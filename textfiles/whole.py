@@ -11,6 +11,8 @@ from pathlib import Path
 
 from textfiles.text import full_stop, words_of
 
+TRIED = 1 << 16  # more than a file that a person works for has
+
 
 def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
     """``data`` at ``path``: who reads it finds all of it, or what was there; ``synced``: after a
@@ -45,6 +47,15 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
     return list(parts)
 
 
+def try_write(path: Path) -> None:
+    """Raises OSError where a file of `TRIED` bytes can't be written at ``path``. Leaves nothing."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # nobody's
+    try:
+        part.write_bytes(bytes(TRIED))
+    finally:
+        part.unlink(missing_ok=True)
+
+
 @contextmanager
 def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> Iterator[None]:
     """``folders``, made and synced; where the block fails, new ones that are empty go again."""
@@ -54,9 +65,7 @@ def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> It
         yield
         list(each(sync_folder, folders))
     except BaseException:
-        for new in made:
-            with suppress(OSError):  # something is in it
-                new.rmdir()
+        remove_empty(made)
         raise
 
 
@@ -64,8 +73,19 @@ def _made(folder: Path) -> list[Path]:
     """Make ``folder``; gives back which are new, itself first."""
     missing = [folder, *folder.parents]
     missing = missing[: next((k for k, one in enumerate(missing) if one.is_dir()), 0)]
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        remove_empty(missing)
+        raise
     return missing
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove those of ``folders``, inner ones first, in which nothing is."""
+    for one in folders:
+        with suppress(OSError):  # something is in it, or it was not made
+            one.rmdir()
 
 
 def is_full(error: BaseException | None) -> bool:

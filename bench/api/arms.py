@@ -18,7 +18,7 @@ from bench.calibrate.arm import VerificationPlan, limits_of, read_touch, today, 
 from bench.calibrate.arm import open_arm as open_session
 from bench.calibrate.arm import touch_frame as touch_points_of_frame
 from bench.calibrate.simulated_arm import Step
-from bench.config import ConfigError, check_within, several
+from bench.config import ConfigError, check_within, several, write_file
 from bench.results.stated_arm import (
     check_verification,
     contradictions,
@@ -35,7 +35,6 @@ from bench.rig.arm_files import (
     frame_text,
     load_frame,
     verification_text,
-    write_file,
 )
 from bench.rig.leaving import to_stderr
 from bench.rig.model import Arm as ArmTable

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.api.shots import AnyRig, load_rig
-from bench.config import ConfigError, check_within, read_text, writing
-from bench.record.recording import RecordingWriter
+from bench.config import ConfigError, check_within, read_text
+from bench.record.recording import added_to
 from bench.rig.alone import OpenCameras, open_bath
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.leaving import to_stderr
@@ -111,18 +111,17 @@ def record_frames(
             "one camera alone makes no frame set: name left, right and perhaps thermal, or a rig"
         )
     check_within(COUNT, count=count)
-    with writing(Path(folder)):
-        writer, table, clock = RecordingWriter(folder), cameras.table, cameras.clock
-    if cameras.rig.made_calibration is not None:
-        writer.add_calibration(read_text(cameras.rig.calibration_path))
-    known, say = cameras.rig.made_calibration, lambda _, text: warn(text)
-    taker = FrameTaker(cameras.frame_set, table, known, clock.sleep, say, flat=False)
-    for number in range(count):
-        if number:
-            clock.sleep(table.settle_s)
-        name = f"{len(list((Path(folder) / 'frames').iterdir())):04d}"
-        writer.add(name, taker.take())
-        yield name
+    table, clock, known = cameras.table, cameras.clock, cameras.rig.made_calibration
+    taker = FrameTaker(
+        cameras.frame_set, table, known, clock.sleep, lambda _, text: warn(text), flat=False
+    )
+    with added_to(folder, read_text(cameras.rig.calibration_path) if known else None) as writer:
+        for number in range(count):
+            if number:
+                clock.sleep(table.settle_s)
+            name = f"{len(list((Path(folder) / 'frames').iterdir())):04d}"
+            writer.add(name, taker.take())
+            yield name
 
 
 def acknowledge(rig: AnyRig, *, capture: CaptureFile | None = None) -> bool:

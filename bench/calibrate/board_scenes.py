@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config import ConfigError, check_within, read_text, writing
-from bench.record.recording import RecordingWriter
+from bench.config import ConfigError, check_within, read_text
+from bench.record.recording import added_to
 from bench.rig.loading import AnyRig, any_rig, drawn
 from bench.rig.scenes import BOARD_DEPTHS_MM, named_cameras, rig_renderer, taken
 from detector.calibration.boards import Board
@@ -17,7 +17,6 @@ from instruments.world import boards
 from instruments.world.phantom import Phantom
 from instruments.world.state import SceneState
 from textfiles.bounds import COUNT, FROM_0
-from textfiles.whole import new_folders
 
 
 def record_boards(
@@ -42,9 +41,7 @@ def record_boards(
         held = [*boards.poses(pattern, watching, BOARD_DEPTHS_MM, seed, poses)]
     except ValueError as error:
         raise ConfigError.plain(f"the board: {error}") from error
-    with writing(Path(folder)), new_folders(Path(folder) / "frames"):
-        writer = RecordingWriter(folder)
-        writer.add_calibration(read_text(rig.calibration_path))
+    with added_to(folder, read_text(rig.calibration_path)) as writer:
         for number, one in enumerate(held):
             heated = replace(one, light=ambient_c, dark=ambient_c + warmer_k)
             state = SceneState(Phantom(()), (), ambient_c, ambient_c, boards=(heated,))

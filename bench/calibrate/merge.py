@@ -11,8 +11,7 @@ from pathlib import Path
 
 from scipy.linalg import block_diag
 
-from bench.config import ConfigError, located, read_text, several, writing
-from bench.files import write_synced
+from bench.config import ConfigError, located, read_text, several, write_file
 from bench.version import __version__
 from detector.calibration import (
     Calibration,
@@ -158,5 +157,4 @@ def write_calibration(found: Part | Calibration, out: Path | str, command: str =
         check_text(out, text, whole=isinstance(found, Calibration))
     except CalibrationError as error:
         raise ConfigError.plain(f"not written, for it can't be: {error}") from error
-    with writing(out):
-        write_synced(out, text.encode("utf-8"))
+    write_file(out, text)

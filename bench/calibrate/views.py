@@ -356,7 +356,7 @@ def gather(
             return number - 1
         except InstrumentError as error:
             if (lost := lost + 1) == TRIES:
-                report(_kept(number - 1, folder))
+                _report_kept(number - 1, folder, report)
                 raise
             report(f"view {number}: {error} The view is asked for again.")
             continue
@@ -376,7 +376,7 @@ def gather(
             number += 1
             write_picture(folder / GUIDE, guide.picture())
         except OSError:  # of a full disk, for one
-            report(_kept(number - 1, folder))
+            _report_kept(number - 1, folder, report)
             raise
     report(
         f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}."
@@ -384,8 +384,11 @@ def gather(
     return wanted.most
 
 
-def _kept(views: int, folder: Path) -> str:
-    return f"Taken so far: {plural(views, 'view')}, in {folder}, to be given with further ones."
+def _report_kept(views: int, folder: Path, report: Callable[[str], None]) -> None:
+    if views:
+        report(
+            f"Taken so far: {plural(views, 'view')}, in {folder}, to be given with further ones."
+        )
 
 
 def free_folder(out: Path) -> Path:

@@ -16,8 +16,7 @@ from scipy.special import chdtri
 
 from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import pattern_of, write_picture
-from bench.config import ConfigError, read_text
-from bench.files import write_synced
+from bench.config import ConfigError, read_text, write_file
 from bench.rig.arm_files import axes_of
 from bench.truth.touching import TipReader
 from detector.calibration import Part, Record
@@ -212,11 +211,12 @@ def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPo
         asking.operator.ask(Release())
         centres, axes = [one.tip_mm for one in readings], axes_of([one.axis for one in readings])
         parts.append((*seen, under_ball(centres, axes, asking.tip_radius_mm)))
-    points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
-    rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
-    table = io.BytesIO()
-    np.savetxt(table, rows, "%.4f", ",", header=",".join(POINT_COLUMNS), comments="")
-    write_synced(folder / POINTS_FILE, table.getvalue())
+        points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
+        rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
+        table = io.StringIO()
+        np.savetxt(table, rows, "%.4f", ",", header=",".join(POINT_COLUMNS), comments="")
+        write_file(folder / POINTS_FILE, table.getvalue())  # whatever becomes of the next position
+        asking.report(f"{len(rows)} points are kept in {folder / POINTS_FILE}")
     return points
 
 

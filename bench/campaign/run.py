@@ -10,7 +10,7 @@ import hashlib
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -28,7 +28,7 @@ from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
 from textfiles.text import range_text
-from textfiles.whole import new_folders
+from textfiles.whole import new_folders, refusal, remove_empty
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
 
@@ -227,11 +227,12 @@ def locked(folder: Path) -> Iterator[None]:
     """Keep other campaign commands off the folder; of a new one without a plan at the end nothing
     stays. Raises ConfigError where one has it.
     """
-    is_new = not folder.exists()
+    new = [one for one in (folder, *folder.parents) if not one.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        why = "a file of this name is there" if folder.is_file() else error
+        remove_empty(new)
+        why = "a file of this name is there" if folder.is_file() else refusal(error)
         raise ConfigError.plain(f"`out` {folder}: no folder can be made: {why}") from error
     lock = FileLock(folder / LOCK)
     try:
@@ -244,11 +245,10 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
-        if is_new and not (folder / PLAN).exists():
+        if new and not (folder / PLAN).exists():
             for name in (LOCK, LEDGER, LEDGER_LOCK):
                 (folder / name).unlink(missing_ok=True)
-            with suppress(OSError):  # something else is in it
-                folder.rmdir()
+            remove_empty(new)
 
 
 def run_chunk(

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TextIO
 
 from bench.version import __version__
 from textfiles.bounds import Bounds
+from textfiles.whole import refusal, try_write
 
 PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
 Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
@@ -88,7 +89,9 @@ def in_switches(text: object, given: argparse.Namespace) -> str:
 def refuse_existing(
     out: Path, *, replace: bool, option: str = "--out", makes_folder: bool = False
 ) -> None:
-    """Raises ConfigError for a file that can't be written; with ``makes_folder`` into a new one."""
+    """Raises ConfigError for a file that can't be written, before anybody works for it; with
+    ``makes_folder`` into a new one.
+    """
     from bench.config import ConfigError
 
     parents = out.resolve().parents
@@ -100,6 +103,11 @@ def refuse_existing(
         raise ConfigError.plain(
             f"{option} {out} is there already. Name another file, or give --replace."
         )
+    try:
+        try_write(folder / out.name)
+    except OSError as error:
+        why = refusal(error, "Name another place.")
+        raise ConfigError.plain(f"{option} {out}: it can't be written: {why}") from error
 
 
 def command_line() -> str:

@@ -25,6 +25,7 @@ from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from detector.calibration.gate import pair_faults
 from textfiles.text import plural
+from textfiles.whole import refusal
 
 if TYPE_CHECKING:
     from bench.report.calibration import PageOf
@@ -54,7 +55,7 @@ def cameras(given: argparse.Namespace) -> int:
         result = bench.calibrate_pair(views, **lens)
     at_mm = given.distance
     page = partial(cameras_page, result, at_mm)
-    _finish(given, result.part, page, inputs=paths, cameras=identity | named)
+    unwritten = _finish(given, result.part, page, inputs=paths, cameras=identity | named)
     for camera, coverage in result.coverage.items():
         if coverage.missing:
             print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
@@ -65,10 +66,11 @@ def cameras(given: argparse.Namespace) -> int:
     print(f"a point at {at_mm / 1000:g} m: good to {good_mm:.2f} mm (k = 2)")
     verdict, _ = good(result.findings, good_mm)
     print(f"Verdict: {verdict}. {cameras_sentence(result, at_mm)}")
-    return _say(result.findings, on_page=True) or code_of(verdict)
+    code = _say(result.findings, on_page=True) or code_of(verdict)
+    return unwritten or code
 
 
-def thermal(given: argparse.Namespace) -> None:
+def thermal(given: argparse.Namespace) -> int:
     from bench.report.calibration import pairs_page, thermal_page
 
     # how the pictures come: by command, by the rig's calibration or by its file
@@ -87,8 +89,7 @@ def thermal(given: argparse.Namespace) -> None:
             )
         mapped = bench.map_pairs(given.pairs)
         part = partial(mapped.part, given.image_size, delivered)
-        _finish(given, part, partial(pairs_page, mapped), inputs=(given.pairs,))
-        return
+        return _finish(given, part, partial(pairs_page, mapped), inputs=(given.pairs,))
     if not (given.frames or given.rig) or not given.board or not given.cameras:
         raise ConfigError.plain(
             "give folders of pictures or --rig with --board and --cameras, or a table with --pairs"
@@ -102,10 +103,11 @@ def thermal(given: argparse.Namespace) -> None:
         plane = {"plane_depth_mm": given.plane} if given.plane else {}
         result = bench.calibrate_thermal(views, pair.part, delivered, **plane)
     page = partial(thermal_page, result)
-    _finish(given, result.part, page, inputs=paths, cameras=identity, pair=pair)
+    unwritten = _finish(given, result.part, page, inputs=paths, cameras=identity, pair=pair)
     of_views = [*result.joint.view_rms_px("thermal").values()]
     rms = float(np.sqrt(np.mean(np.square(of_views))))
     print(f"thermal camera: {rms:.3f} px rms over {plural(len(of_views), 'view')}")
+    return unwritten
 
 
 def world(given: argparse.Namespace) -> int:
@@ -123,12 +125,13 @@ def world(given: argparse.Namespace) -> int:
         given.points = bench.touch_points(*to_touch, known=pair.part, **_live(given))
     result = bench.calibrate_world(bench.read_points(given.points), pair.part, **_noise(given))
     page = partial(world_page, result)
-    _finish(given, result.part, page, inputs=(given.points,), pair=pair)
+    unwritten = _finish(given, result.part, page, inputs=(given.points,), pair=pair)
     fit = result.fit
     missed = f"missed by {fit.comparison.rigid.fre_mm:.3f} mm rms"
     lengths = f"lengths {fit.scale:.5f} ± {fit.scale_sd:.5f} of the arm's"
     print(f"{plural(len(fit.touched_mm), 'point')}: {missed}, {lengths}")
-    return _say(result.findings)
+    code = _say(result.findings)
+    return unwritten or code
 
 
 def merge(given: argparse.Namespace) -> None:
@@ -143,17 +146,18 @@ def check(given: argparse.Namespace) -> int:
     given.by, given.out = "", given.calibration
     if given.ends:
         return _check_ends(given, part)
-    findings, looked_at = (_check_points if given.points else _check_board)(given, part)
+    findings, looked_at, unwritten = (_check_points if given.points else _check_board)(given, part)
     if not findings and looked_at < LEAST_LOOKED_AT:
         what = "points" if given.points else "views of the board"
         text = f"{looked_at} {what} tell nothing, at least {LEAST_LOOKED_AT} are needed"
         return complain(f"not checked: {text}", CODES.inconclusive)
     print("It still holds." if not findings else "It no longer holds.")
-    return _say(findings)
+    code = _say(findings)
+    return unwritten or code
 
 
-def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], int]:
-    """Findings, and how many views were looked at."""
+def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], int, int]:
+    """Findings, how many views were looked at, and an exit code where the page isn't written."""
     from bench.report.calibration import check_page
 
     others = ", touched points (--points CSV), touched ends (--ends DIR),"
@@ -165,11 +169,11 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], 
         f"{plural(len(again.views), 'view')}: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
         f" {again.epipolar_rms_px:.2f} px rms"
     )
-    _finish(given, None, partial(check_page, again, findings), inputs=paths)
-    return findings, len(again.views)
+    unwritten = _finish(given, None, partial(check_page, again, findings), inputs=paths)
+    return findings, len(again.views), unwritten
 
 
-def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], int]:
+def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], int, int]:
     """As `_check_board`, of points."""
     from bench.report.calibration import check_points_page
 
@@ -181,8 +185,9 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any],
         f"{plural(len(again.missed_mm), 'point')}: missed by {rms:.2f} mm rms,"
         f" {np.sqrt(np.mean(again.expected_mm**2)):.2f} mm is to be expected"
     )
-    _finish(given, None, partial(check_points_page, again, findings), inputs=(given.points,))
-    return findings, len(again.missed_mm)
+    page = partial(check_points_page, again, findings)
+    unwritten = _finish(given, None, page, inputs=(given.points,))
+    return findings, len(again.missed_mm), unwritten
 
 
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
@@ -209,10 +214,10 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
-    _finish(given, None, partial(check_ends_page, found, decision))
+    unwritten = _finish(given, None, partial(check_ends_page, found, decision))
     if decision.verdict is bench.Verdict.MET:
         print("It still holds.")
-        return CODES.met
+        return unwritten
     if decision.verdict is bench.Verdict.NOT_MET:
         print("It no longer holds.")
         return complain(decision.sentence, CODES.not_met)
@@ -271,10 +276,10 @@ def _finish(
     part: Callable[[Record], Part | Calibration] | None,
     page: Callable[[], PageOf] | None = None,
     **known: Any,
-) -> None:
+) -> int:
     """The end of each step and check, with what its record says: the step's file, whole or not at
     all, and its page beside it; a check's page where it is wanted. Of a rig it says what its
-    instruments are.
+    instruments are. A page that can't be written keeps back no figure: an exit code, else 0.
     """
     record, folder = bench.calibration_record(by=given.by, **known), getattr(given, "page", None)
     if part is not None:
@@ -289,7 +294,12 @@ def _finish(
         if given.rig:
             used = {"cameras", "arm"} if given.called == "calibrate world" else {"cameras"}
             made = with_kind(made, used, bench.load_rig(given.rig).rig.emulated)
-        print(f"page: {write_report(made, folder)}")
+        try:
+            print(f"page: {write_report(made, folder)}")
+        except OSError as error:
+            why = refusal(error, "Name another place.")
+            return complain(f"{folder}: the page can't be written: {why}", CODES.fault)
+    return CODES.met
 
 
 def _say(findings: Sequence[Any], *, on_page: bool = False) -> int:

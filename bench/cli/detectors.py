@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import bench
 from bench.cli.arguments import CODES, complain, print_json, print_values
-from bench.config import ConfigError, read_calibration
+from bench.config import ConfigError, read_calibration, writing
 from bench.files import write_together
 from detector import Outcome
 from textfiles.text import in_command
@@ -60,7 +60,8 @@ def new(given: argparse.Namespace) -> None:
         heading += f"\nCompile it first: {COMPILED.format(name=name)}"
     skeleton = (skeletons / f"detector{end}").read_bytes()
     table_text = toml_text(table, heading).encode("utf-8")
-    write_together(given.out, [(program.name, skeleton), (file.name, table_text)])
+    with writing(given.out):
+        write_together(given.out, [(program.name, skeleton), (file.name, table_text)])
     word = name if name in bench.detectors() else file
     print(*(f"written: {path}" for path in files), sep="\n")
     if given.language == "cpp":

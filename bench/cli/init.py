@@ -9,8 +9,7 @@ from datetime import date
 
 import bench
 from bench.cli.arguments import CODES, refuse_existing
-from bench.config import ConfigError, parse_config, read_text
-from bench.files import write_synced
+from bench.config import ConfigError, parse_config, read_text, write_file
 from bench.rig.finding import FoundInstrument, rig_text
 from bench.rig.loading import PLACES, TO_COPY
 from bench.rig.model import Rig, camera_url
@@ -55,7 +54,7 @@ def init(given: argparse.Namespace) -> int:
     about += [f"Next: teatbench check {in_command(given.out.name)}, then 'teatbench help lab'."]
     text = rig_text(read_text(TO_COPY), values, missing, "\n".join(about))
     parse_config(given.out, text, Rig)
-    write_synced(given.out, text.encode("utf-8"))
+    write_file(given.out, text)
     for name in missing:
         print(f"not found: {name}; its url is marked in the file")
     print(f"Written: {given.out}. Next: teatbench check {in_command(given.out)}")

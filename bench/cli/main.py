@@ -136,6 +136,7 @@ def _address_limit() -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from bench import ConfigError, OperatorAbort, OperatorSkip, RecordingError
+    from bench.config import UnwrittenError
     from instruments import CaptureError, InstrumentError
 
     try:
@@ -145,6 +146,8 @@ def _run(given: argparse.Namespace) -> int:
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
         code = CODES.fault if is_full(error) else CODES.wrong_use
+        if isinstance(error, UnwrittenError):
+            print(f"{HELD.format(error.place)}\n\n{error.text}")
         return complain(_with_cure(in_switches(error, given), error), code)
     except InstrumentError as error:
         return complain(in_switches(error, given), CODES.fault)
@@ -186,6 +189,7 @@ def _with_cure(text: str, error: Exception) -> str:
     return text if cured else f"{full_stop(text)} Make room."
 
 
+HELD = "What {} was to hold follows. Keep it: copy it into a file of that name."
 HINT = "Is the disk full, or the folder read-only?"
 MEMORY_WORDS = (
     "insufficient memory",

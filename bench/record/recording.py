@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
@@ -17,14 +17,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import beside
+from bench.config import beside, writing
 from bench.record.schema import DATABASE
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
 from textfiles.tables import Row, TableError, read_table
 from textfiles.text import TextError, text_of
-from textfiles.whole import replace_whole
+from textfiles.whole import new_folders, replace_whole
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -227,16 +227,12 @@ class RecordingWriter:
 
     def add_calibration(self, text: str) -> None:
         """Write calibration.toml, as the text that it was read from."""
-        try:
-            replace_whole(self.path / "calibration.toml", text.encode())
-        except OSError:
-            for empty in (self.path / "frames", self.path):
-                with suppress(OSError):  # something is in it
-                    empty.rmdir()
-            raise
+        replace_whole(self.path / "calibration.toml", text.encode())
 
-    def add(self, frame_id: str, frames: FrameSet) -> None:
-        """Write a frame's images as PNG; the folder appears when all of them are there."""
+    def add(self, frame_id: str, frames: FrameSet, truth: Sequence[TruthRow] = ()) -> None:
+        """Write a frame's images as PNG; the folder appears when all of them are there. Where its
+        ``truth`` can't be written, it goes again.
+        """
         if not isinstance(frames, FrameSet):
             raise RecordingError(f"frames is {frames!r}, no FrameSet")
         with self._made(frame_id) as making:
@@ -247,6 +243,12 @@ class RecordingWriter:
                 if not good:
                     raise RecordingError(f"{image.shape} of {image.dtype} can't be written as PNG")
                 replace_whole(making / name, data.tobytes())
+        try:
+            if truth:
+                self.add_truth(frame_id, truth)
+        except BaseException:
+            rmtree(self.path / "frames" / frame_id)
+            raise
 
     def copy(self, frame_id: str, folder: Path) -> None:
         """Write a frame's images as they are in ``folder``, under their names, byte for byte."""
@@ -283,9 +285,9 @@ class RecordingWriter:
         if len({row.teat for row in rows}) != len(rows) or len({row.situation for row in rows}) > 1:
             got = [(row.situation, row.teat) for row in rows]
             raise RecordingError(f"frame {frame_id!r}: each teat once, one situation; got {got}")
-        self._truth[frame_id] = tuple(rows)
+        known = {**self._truth, frame_id: tuple(rows)}
         lines = [",".join((*COLUMNS, "u_mm"))]
-        for frame, row in ((frame, row) for frame, those in self._truth.items() for row in those):
+        for frame, row in ((frame, row) for frame, those in known.items() for row in those):
             names = (frame, row.situation, row.teat)
             if set("".join(names)) & set(',"\r\n'):
                 what = "names in truth.csv can't hold commas, quotes or line ends"
@@ -294,6 +296,26 @@ class RecordingWriter:
             values = *names, *map(float, row.xyz_mm), int(row.visible), u_mm
             lines.append(",".join(map(str, values)))
         replace_whole(self.path / "truth.csv", "\n".join([*lines, ""]).encode())
+        self._truth = known
+
+
+@contextmanager
+def added_to(folder: Path | str, calibration: str | None) -> Iterator[RecordingWriter]:
+    """A writer of the recording in ``folder``, with the text of its ``calibration``; nothing new
+    stays where not one frame can be written. Raises ConfigError, RecordingError.
+    """
+    frames, there = Path(folder) / "frames", Path(folder) / "calibration.toml"
+    is_new = not there.exists()
+    with writing(Path(folder)), new_folders(frames):
+        try:
+            writer = RecordingWriter(folder)
+            if calibration is not None:
+                writer.add_calibration(calibration)
+            yield writer
+        except BaseException:
+            if is_new and not any(frames.glob("*")):
+                there.unlink(missing_ok=True)
+            raise
 
 
 class RecordingCameras:

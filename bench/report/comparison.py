@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.config import several, writing
-from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.report.chapters import page_of
@@ -251,9 +250,8 @@ def write_comparison(found: Sequence[Comparison], folder: Path | str) -> Path:
     found, folder = several("found", found, 1), Path(folder)
     text = json.dumps(as_json(found), indent=1, ensure_ascii=False)
     with writing(folder):
-        path = write_report(comparison_page(found), folder)
-        write_synced(folder / "comparison.json", f"{text}\n".encode())
-    return path
+        more = [("comparison.json", f"{text}\n".encode())]
+        return write_report(comparison_page(found), folder, more)
 
 
 def comparison_page(found: Sequence[Comparison]) -> Page:

@@ -129,7 +129,8 @@ def _not_judged(run: RunRecord) -> Iterator[tuple[str, Cause, str]]:
         cause = Cause.BENCH if "the bench died in it" in reason else Cause.TRUTH
         yield trial, Cause.OPERATOR if trial in by_operator else cause, reason
     known = {trial.id for trial in run.trials} | skipped.keys()
-    state = state_in(run)
+    if (state := state_in(run)) == "running":
+        return  # it comes to them yet
     cause = Cause.OPERATOR if state == "aborted" else Cause.BENCH
     for pose in run.facts.get("pose set", {}).get("poses", ()):
         if str(pose[0]) not in known:

@@ -60,8 +60,12 @@ class QueueStatus:
         """``script 2 of 3: plane-map``; ``ended early, 2 of 3 scripts: tripped by interlock …``."""
         of = plural(len(self.scripts), "script")
         if self.under_way:
-            now = self.scripts[max(self.begun, 1) - 1]
-            return f"script {max(self.begun, 1)} of {len(self.scripts)}: {now.script}"
+            at = max(self.begun, 1)
+            now, then = self.scripts[at - 1], self.scripts[at:]
+            place = f"script {at} of {len(self.scripts)}"
+            if then and now.status and not now.status.under_way:
+                return f"{place} has ended, next: {then[0].script}"
+            return f"{place}: {now.script}"
         states = [one.status.state for one in self.scripts if one.status]
         done = states.count(State.FINISHED)
         if self.ended == ENDED:

@@ -31,12 +31,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, TypeAdapter
 
-from bench.config import ConfigError, KeyPath, Section, located, read_config, read_text
-from bench.files import write_synced
+from bench.config import KeyPath, Section, located, read_config, read_text
 from bench.toml import toml_text
 from detector.geometry import Motion
 from textfiles.text import plural
-from textfiles.whole import refusal
 
 Floats = Annotated[
     NDArray[np.float64],
@@ -513,15 +511,6 @@ def load_verification(path: Path) -> Verification:
     found = from_dict({**said, "locations": said["location"], "lengths": said["length"]})
     refuse_changed(path, file, _verification_table(found, VerificationLimits(**said["limits"])))
     return found
-
-
-def write_file(path: Path, text: str) -> None:
-    """Write ``text`` whole or not at all. Raises ConfigError."""
-    try:
-        write_synced(path, text.encode("utf-8"))
-    except OSError as error:
-        why = refusal(error, "Name another place as `out`.")
-        raise ConfigError.plain(f"{path} can't be written: {why}") from error
 
 
 def refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:

@@ -22,7 +22,7 @@ from bench.config import (
     writing,
 )
 from bench.files import write_synced
-from bench.record.recording import RecordingWriter, TruthRow
+from bench.record.recording import TruthRow, added_to
 from bench.rig.loading import AnyRig, LoadedRig, any_rig
 from bench.rig.model import make_renderer
 from detector.calibration import Calibration, dump_calibration
@@ -36,7 +36,6 @@ from instruments.world.situations import SITUATIONS, situation, spoken
 from instruments.world.state import SceneState
 from textfiles.bounds import FROM_0
 from textfiles.documents import read_toml
-from textfiles.whole import new_folders
 
 BOARD_DEPTHS_MM = (450.0, 1300.0)
 
@@ -149,16 +148,13 @@ def record_scenes(
     text = read_text(rig.calibration_path)
     if stated is not rig.calibration:
         text = dump_calibration(stated, "perturbed: not what the cameras are")
-    with writing(Path(folder)), new_folders(Path(folder) / "frames"):
-        writer = RecordingWriter(Path(folder))
-        writer.add_calibration(text)
+    with added_to(folder, text) as writer:
         for name in families:
             for member in seeds:
                 frame, chance = f"{name}-{member:04d}", (seed, member, *name.encode())
                 state = warm(situation(name, member))
                 shot = draw(renderer, name, state, [seed, member], perturbations, chance)
-                writer.add(frame, shot.frames)
-                writer.add_truth(frame, shot.truth)
+                writer.add(frame, shot.frames, shot.truth)
                 yield frame
 
 

@@ -24,7 +24,7 @@ from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
 from bench.run.events import EVENT, FAILURES, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
-from bench.safety.bath_monitor import BathMonitor, TripHandler
+from bench.safety.bath_monitor import LATE_S, BathMonitor, TripHandler
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
@@ -235,10 +235,12 @@ class RunContext:
             yield SAFING
             if self._asked:
                 yield "The open question needs no answer any more."
-        elif self.away:
-            yield self.check_away
-        elif any(one.trouble and one.name == "bath" for one in status.instruments):
-            yield "Check the bath's power and its cable. Where it stays silent, an interlock trips."
+        elif self.away or any(one.trouble and one.name == "bath" for one in status.instruments):
+            if self.watch.failing and self.away != "bath":  # it may heat: before all others
+                cable = "Check the bath's power and its cable."
+                yield f"{cable} Where it stays silent, an interlock trips."
+            if self.away:
+                yield self.check_away
         elif self._camera_gone:
             yield "Check the cameras' power and cables, before the next frames."
         elif status.asked:
@@ -249,6 +251,13 @@ class RunContext:
             yield self.readied
         else:
             yield AFTER_RUN
+
+    @property
+    def _bath_fails(self) -> str:
+        """As the watch's ``failing``, also once it has ended and the bath is told to stop."""
+        told, last = self.safing and "bath" in self.devices.active, self.watch.last
+        late = told and last is not None and self.clock.now() - last.t_s > LATE_S
+        return self.watch.failing or ("no answer" if late else "")
 
     def _instrument(self, name: str) -> InstrumentStatus:
         devices, now_s = self.devices, self.clock.now()
@@ -263,7 +272,7 @@ class RunContext:
         if name == "bath":
             if reading := self.watch.last:
                 last, heard_s = f"{reading.temp_c:.2f} degC", reading.t_s
-            if failing := self.watch.failing:
+            if failing := self._bath_fails:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last and name in devices.active:
                 last += f", {self.watch.course}"

@@ -6,14 +6,17 @@ A listener that fails is named once, to the others and in the record, and gets n
 a person has to see at once); none can stop a run. The record is no listener: it comes first, and
 what it can't take ends the run. Each line is one write at the end of the file, so a killed bench
 leaves whole lines; half a line of a machine that lost its power is cut off when the run goes on.
+Events that `events.jsonl` lacks, such as those of a full disk, are put in from the record, at the
+session's end or by `resume`, behind a warning that says since when lines are missing.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from enum import StrEnum
 from io import FileIO
@@ -21,8 +24,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bench.config import ConfigError
+from bench.record.schema import Row
 from bench.record.state import TRIP
 from instruments.clock import wall_time
+from textfiles.whole import refusal
 
 if TYPE_CHECKING:
     from bench.results.status import RunStatus
@@ -170,8 +175,12 @@ class Events:
         self.notify: Callable[[str], None] = lambda _: None
 
     @contextmanager
-    def kept_in(self, folder: Path) -> Iterator[None]:
-        """Written to `EVENTS_FILE` in ``folder`` too, on from its last number."""
+    def kept_in(
+        self, folder: Path, recorded: Callable[[], Sequence[Row]] = tuple
+    ) -> Iterator[None]:
+        """Written to `EVENTS_FILE` in ``folder`` too, on from its last number, with those of the
+        events ``recorded`` in the run's record that it lacks.
+        """
         self.pose = self.doing = self.error = ""
         try:
             file = FileIO(folder / EVENTS_FILE, "a+")
@@ -182,14 +191,16 @@ class Events:
         with file:
             try:
                 self._number = max(self._number, _last_number(file))
+                self._catch_up(file, recorded())
                 self._files[EVENTS_FILE] = file
-            except OSError as error:
+            except Exception as error:  # also of a record that can't be read
                 self._file_failed(EVENTS_FILE, error)
             try:
                 yield
             finally:
-                with self._lock:
-                    self._files.pop(EVENTS_FILE, None)
+                with self._lock, suppress(Exception):  # a disk that is full still
+                    if not self._files.pop(EVENTS_FILE, None):
+                        self._catch_up(file, recorded())
 
     def state(self, text: str) -> None:
         self.doing = f"{self.replaying}: {text}" if self.replaying else text
@@ -233,20 +244,14 @@ class Events:
         return status.parts if status else {}
 
     def _write(self, what: str, **more: Any) -> None:
-        if self.replaying and what != "warning":
+        if self.replaying and what != "warning" and more.get("kind") != TRIP:
             return
         with self._lock:
-            self._number += 1
-            now, number = wall_time().isoformat(timespec="milliseconds"), self._number
-            line = {"number": number, "wall_time": now, "t_s": self.now_s(), "what": what, **more}
-            whole = json.dumps(line, ensure_ascii=False).encode() + b"\n"
+            whole = self._line({"wall_time": _now(), "t_s": self.now_s(), "what": what, **more})
             failed: dict[str, Exception] = {}
             for name, file in self._files.items():
                 try:
-                    if (wrote := file.write(whole) or 0) != len(whole):
-                        with suppress(OSError):  # a pipe has no half line to take back
-                            file.truncate(file.tell() - wrote)
-                        raise OSError("the disk is full")
+                    _append(file, whole)
                 except Exception as error:  # whatever it is, it only listened
                     failed[name] = error
             for name in failed:
@@ -254,8 +259,26 @@ class Events:
             for name, why in failed.items():
                 self._file_failed(name, why)
 
+    def _line(self, what: Mapping[str, Any]) -> bytes:
+        self._number += 1
+        return json.dumps({"number": self._number, **what}, ensure_ascii=False).encode() + b"\n"
+
+    def _catch_up(self, file: FileIO, recorded: Sequence[Row]) -> None:
+        """Write which events ``file`` lacks, and since when lines are missing. Raises OSError."""
+        if not (missing := _missing(file, recorded)):
+            return
+        since = missing[0]["wall_time"]
+        text = (
+            f"Lines since {since} are missing here. Of the record's events, {len(missing)} follow."
+        )
+        warning = {"wall_time": _now(), "t_s": None, "what": "warning", "text": text}
+        _append(file, self._line(warning))
+        for one in missing:
+            line = {"wall_time": one["wall_time"], "t_s": one["t_s"], "what": "event"}
+            _append(file, self._line({**line, "kind": one["kind"], "text": one["text"]}))
+
     def _file_failed(self, name: str, error: Exception) -> None:
-        why = f"{name}: no further lines: {error}"
+        why = f"{name}: no further lines: {refusal(error)}"
         self.warn(why)
         self.not_shown(why)
 
@@ -268,6 +291,38 @@ def read_events(folder: Path) -> Iterator[dict[str, Any]]:
     """The lines of the run in ``folder``. Raises OSError, ValueError."""
     for line in (folder / EVENTS_FILE).read_bytes().splitlines():
         yield json.loads(line)
+
+
+def _append(file: FileIO, line: bytes) -> None:
+    """The whole of ``line`` or nothing. Raises OSError."""
+    if (wrote := file.write(line) or 0) != len(line):
+        with suppress(OSError):  # a pipe has no half line to take back
+            file.truncate(file.tell() - wrote)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _missing(file: FileIO, recorded: Sequence[Row]) -> Sequence[Row]:
+    """Those of the events ``recorded`` that come behind the last one in ``file``."""
+    file.seek(0)
+    lines = map(_event_in, file.readall().splitlines() if recorded else ())
+    there = [event for event in lines if event]
+    for last in reversed(there):  # one that only the file has says nothing
+        same = [i for i, one in enumerate(recorded) if (one["kind"], one["text"]) == last]
+        if len(same) >= (times := there.count(last)):
+            return recorded[same[times - 1] + 1 :]
+    return recorded
+
+
+def _event_in(line: bytes) -> tuple[str, str] | None:
+    """Kind and text of an event; None for another line, or one that was damaged."""
+    with suppress(ValueError, LookupError, TypeError):
+        found = json.loads(line)
+        return (found["kind"], found["text"]) if found["what"] == "event" else None
+    return None
+
+
+def _now() -> str:
+    return wall_time().isoformat(timespec="milliseconds")
 
 
 def _last_number(file: FileIO) -> int:
@@ -296,7 +351,7 @@ def event_lines(path: Path | None) -> Iterator[FileIO | None]:
                 _last_number(there)
         file = FileIO(path, "a")
     except OSError as error:
-        why = f"--events {path}: it can't be opened: {error.strerror or error}"
+        why = f"--events {path}: it can't be opened: {refusal(error, 'Name another file.')}"
         raise ConfigError.plain(why) from error
     try:
         yield file

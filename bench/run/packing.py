@@ -11,6 +11,7 @@ import json
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.recording import Recording, RecordingError, RecordingWriter
 from bench.run.recordings import Recorder
 from reports.sanitize import csv_text
+from textfiles.whole import new_folders
 
 SUMS, CARD, DESCRIPTION, BUDGETS = "SHA256SUMS", "README.md", "datapackage.json", "budgets.csv"
 NO_LICENCE = "none stated: ask whoever made it before you use or pass it on"
@@ -60,7 +62,8 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
     record = read_run(run)
     making = out.with_name(f"{out.name}.part")
     shutil.rmtree(making, ignore_errors=True)
-    try:
+    with new_folders(out.parent), ExitStack() as at_end:
+        at_end.callback(shutil.rmtree, making, ignore_errors=True)
         writer = RecordingWriter(making)
         for trial in record.trials:
             writer.copy(trial.id, run / "frames" / trial.id)
@@ -93,8 +96,6 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
         sums = "".join(f"{sha256_of(making / name)}  {name}\n" for name in _files(making))
         write_synced(making / SUMS, sums.encode("utf-8"))
         making.replace(out)
-    finally:
-        shutil.rmtree(making, ignore_errors=True)
     return out
 
 

@@ -19,7 +19,7 @@ from bench.results.cameras_agree import truth_rows
 from bench.truth.carrying import resumed
 from bench.truth.uncertainty import TruthMethod
 from instruments.camera.frame import FrameSet
-from textfiles.whole import refusal
+from textfiles.whole import new_folders, refusal
 
 RECORDED = "recorded to"  # fact: the recording's folder
 
@@ -49,8 +49,9 @@ class Recorder:
                 raise ConfigError.plain(why)
             for unfinished in folder.glob("making *"):
                 shutil.rmtree(unfinished)
-            self._writer = RecordingWriter(folder)
-            self._writer.add_calibration(read_text(self.calibration))
+            with new_folders(folder / "frames"):
+                self._writer = RecordingWriter(folder)
+                self._writer.add_calibration(read_text(self.calibration))
             if before:
                 self._catch_up(before)
         except (OSError, RecordingError) as error:

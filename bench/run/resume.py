@@ -20,6 +20,7 @@ from bench.config import ConfigError, read_text
 from bench.files import Picture
 from bench.record.reader import RunRecord, TrialRecord, guardian_files, read_run
 from bench.record.schema import GUARDIAN_FACT, SCRIPT, Row
+from bench.record.state import TRIP
 from bench.record.writer import Store, Tables
 from bench.rig.loading import LoadedRig, load_rig
 from bench.run.events import EVENT, RunState
@@ -95,7 +96,7 @@ def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
 
 class RehearsedStore(Store):
     """The store of a run whose finished trials are replayed: while ``silent`` it takes only newer
-    bath readings and checks, and compares touches with those on record.
+    bath readings and checks, and a trip, and compares touches with those on record.
     """
 
     def __init__(self, left: ResumePoint) -> None:
@@ -111,7 +112,8 @@ class RehearsedStore(Store):
         self.differ: list[str] = []
 
     def _add_row(self, table: str, row: Row, *, urgent: bool) -> None:
-        if row["t_s"] > self._read_to_s if table == "bath" else not self.silent:
+        new = not self.silent or TRIP in (row.get("kind"), row.get("key"))  # it ends the replay
+        if row["t_s"] > self._read_to_s if table == "bath" else new:
             super()._add_row(table, row, urgent=urgent)
 
     def _write(self, tables: Tables) -> None:

@@ -87,7 +87,7 @@ from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
 from textfiles.text import named, plural
-from textfiles.whole import refusal
+from textfiles.whole import refusal, remove_empty
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
@@ -323,7 +323,7 @@ def _run(
         whose = f"at {how.speed:g} times the speed" if how.speed else "of the bench's time"
         note = f"{plural(to_do, 'trial')}, {time_left(left_s)} {whose}"
         how.begun(f"{note}. Run folder: {store.folder}")
-        with events.kept_in(store.folder):
+        with events.kept_in(store.folder, lambda: read_run(store.folder, whole=False).events):
             for text in warned:
                 events.warn(f"Bench health: {text}")
             if store.keeps_pictures:  # a minute's compiling, once: a bench that heats would hang
@@ -555,6 +555,7 @@ class ScoredFrames:
 
     def __post_init__(self) -> None:
         self._rules, self._count = parse_config(self.rules, self.text, Rules), 0
+        self._is_new = not self.out.exists()
         self._store = _new_store(self.out, self.name, {RULES: self.text}, self.calibration)
         try:
             write_facts(self._store, self.facts, self.under_test, self.calibration)
@@ -616,6 +617,8 @@ class ScoredFrames:
             self._store.close()
         finally:
             shutil.rmtree(self._store.folder, ignore_errors=True)
+            if self._is_new:
+                remove_empty([self.out])
 
 
 def members_of(recording: Recording) -> dict[str, list[int]]:

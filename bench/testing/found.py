@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -13,9 +12,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from bench.api.shots import load_rig
 from bench.campaign.chunk import digest_of_frames
-from bench.config import ConfigError, read_text, toml_of, writing
+from bench.config import ConfigError, read_text, toml_of
 from bench.files import write_together
-from bench.record.recording import RecordingError, RecordingWriter
+from bench.record.recording import RecordingError, added_to
 from bench.results.answers import name_of
 from bench.testing.checking import SceneFailedError
 from bench.testing.scene import Scene
@@ -88,15 +87,9 @@ def keep(folder: Path | str, into: Path | str, name: str | None = None) -> str:
     if there.exists() and read_text(there) != stated:
         what = f"{recording} has another calibration than {path}"
         raise ConfigError.plain(f"{what}: name another `into`")
-    new = not recording.exists()
     try:
-        with writing(recording):
-            writer = RecordingWriter(recording)
-            writer.add(frame, shot.frames)
-            writer.add_calibration(stated)
-            writer.add_truth(frame, shot.truth)
+        with added_to(recording, stated) as writer:
+            writer.add(frame, shot.frames, shot.truth)
     except RecordingError as error:
-        if new:
-            shutil.rmtree(recording)
         raise ConfigError.plain(f"{error}; give another `name`") from error
     return frame

@@ -31,8 +31,8 @@ from numpy.typing import ArrayLike
 from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
-from bench.config import Positive, Section, located, read_config, read_text
-from bench.rig.arm_files import NotNegative, Three, refuse_changed, write_file
+from bench.config import Positive, Section, located, read_config, read_text, write_file
+from bench.rig.arm_files import NotNegative, Three, refuse_changed
 from bench.scoring.errors import Floats
 from bench.toml import toml_text
 from bench.truth.uncertainty import Triple

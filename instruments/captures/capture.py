@@ -69,8 +69,14 @@ class CaptureFile:
                 [(0, "is there already, and a capture is never written over. Name another file.")],
             ) from None
         except (OSError, ValueError) as error:
-            raise CaptureError(path, [(0, f"can't be written: {refusal(error)}")]) from error
-        self._write(header)
+            why = refusal(error, "Name another place.")
+            raise CaptureError(path, [(0, f"can't be written: {why}")]) from error
+        try:
+            self._write(header)
+        except OSError as error:
+            self.close()
+            why = refusal(error, "Name another place.")
+            raise CaptureError(path, [(0, f"can't be written: {why}")]) from error
 
     def tap(self, link: str, clock: Clock) -> Tap:
         """A tap for the link of this name. Raises ValueError for a name that is no plain word."""
@@ -87,7 +93,11 @@ class CaptureFile:
             if not self._file.closed and not self.fault:
                 self.events += 1
                 t_s = round(clock.now(), 6)
-                self._write({"t_s": t_s, "link": link, "event": event, **fact})
+                try:
+                    self._write({"t_s": t_s, "link": link, "event": event, **fact})
+                except OSError as error:
+                    early = f"{self.path} ends early, after {self.events - 1} events"
+                    self.fault = f"{early}: {refusal(error)}"
 
     def close(self) -> None:
         """End the capture; a file without any event is taken away. Once more is no error."""
@@ -107,13 +117,8 @@ class CaptureFile:
     def _write(self, message: Mapping[str, object]) -> None:
         line = json.dumps(message, ensure_ascii=False).encode("utf-8", errors="replace")
         rest = memoryview(line + b"\n")
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
-        except OSError as error:
-            self.fault = (
-                f"{self.path} ends early, after {max(0, self.events - 1)} events: {refusal(error)}"
-            )
+        while rest:
+            rest = rest[self._file.write(rest) :]
 
 
 class _LinkTap(Tap):

@@ -89,6 +89,20 @@ def served(make: Callable[[RealClock], D]) -> Iterator[tuple[D, str]]:
             yield device, listener.url
 
 
+@contextmanager
+def full(most: int) -> Iterator[None]:
+    """The system refuses each write as on a full disk, once a file has ``most`` bytes: pytest's own
+    of a test's outcome too, where they go to a file, so a test is over before that.
+    """
+    resource = pytest.importorskip("resource", reason="Windows limits no file's size")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
 class Person:
     """Standard input and output of a command, and who sits there: each prompt is answered when it
     stands there, by its line or by what comes first. ``text`` is all that was written.

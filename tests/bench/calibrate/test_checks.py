@@ -81,6 +81,11 @@ def test_by_command_with_its_page(lab: Path, in_lab: Said) -> None:
     (lab / "whole.toml").write_text(dump_calibration(whole), encoding="utf-8")
     check = "calibrate check whole.toml --points again.csv"
     assert "18 points: missed by" in in_lab(0, f"{check} --page points.page").out
+    (lab / "a file").touch()
+    held = in_lab(3, f"{check} --page {{}}", "a file/page")
+    assert held.out.endswith("It still holds.\n"), "its page alone is missing"
+    why = "the page can't be written: Not a directory. Name another place."
+    assert held.err == f"teatbench: a file/page: {why}\n"
     page = (lab / "points.page" / "index.html").read_text(encoding="utf-8")
     assert "It still holds." in page
     assert "Measured less touched" in page

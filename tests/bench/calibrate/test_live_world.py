@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from unittest.mock import Mock
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.calibrate.world import TouchSession, gather_points, nine, under_ball
+from bench.calibrate import world
+from bench.calibrate.views import write_picture
+from bench.calibrate.world import TouchSession, gather_points, nine, read_points, under_ball
 from bench.rig.model import Arm
 from bench.truth.touching import TipReader
 from detector.calibration.boards import Board
@@ -84,6 +87,21 @@ class Lab:
 def expected() -> Array:
     points = WORLD_FROM_BOARD.apply(BOARD.points_mm[list(nine(BOARD))])
     return np.vstack([points, points])
+
+
+def test_points_of_one_position_are_kept_whatever_becomes_of_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, image: Grey) -> None:
+        if path.name == "position-2.png":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write_picture(path, image)
+
+    monkeypatch.setattr(world, "write_picture", full)
+    with pytest.raises(OSError, match="No space"):
+        (lab := Lab()).points(tmp_path)
+    assert len(read_points(tmp_path / "points.csv").touched_mm) == 9
+    assert f"9 points are kept in {tmp_path / 'points.csv'}" in lab.text
 
 
 @pytest.mark.slow

@@ -7,7 +7,8 @@ import math
 import re
 import signal
 import tomllib
-from contextlib import closing
+from collections.abc import Callable
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
 from tests.bench.calibrate.arm_terminal import answer, at_terminal
-from tests.bench.commands import Person, Said, teatbench, words
+from tests.bench.commands import Person, Said, full, teatbench, words
 from tests.conftest import ROOT
 
 HOMING = "Was the stylus on its peg"
@@ -91,6 +92,35 @@ def test_an_abort_writes_nothing(
     assert teatbench(f"arm {command} {OWN}", out) == 3
     assert capsys.readouterr().err == "teatbench: the operator aborted; nothing was written\n"
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "prompts", "load"),
+    [
+        ("frame", ["origin", "x axis", "plane", "Check point"], load_frame),
+        ("verify --distances 1 --touches 5", ["divot", *["tip in"] * 5], load_verification),
+    ],
+)
+def test_what_was_touched_is_printed_where_its_file_cannot_be_written_any_more(
+    tmp_path: Path,
+    monkeypatch: Patch,
+    said: Said,
+    command: str,
+    prompts: list[str],
+    load: Callable[[Path], object],
+) -> None:
+    """The disk was filled while the arm was touched with."""
+    out, copied = tmp_path / "arm.toml", tmp_path / "copied.toml"
+    with ExitStack() as filled:
+        last = (prompts.pop(), lambda: filled.enter_context(full(0)))
+        person = Person(monkeypatch, *prompts, last)
+        why = said(3, f"arm {command} {OWN} --homed", out).err
+    assert why == f"teatbench: {out}: can't be written: File too large. Make room.\n"
+    assert not list(tmp_path.iterdir())
+    _, heading, text = person.text.partition(f"What {out} was to hold follows.")
+    assert heading
+    copied.write_text(text.partition("\n\n")[2], encoding="utf-8")
+    load(copied)
 
 
 def test_a_bad_arm_is_not_verified(tmp_path: Path, monkeypatch: Patch, said: Said) -> None:

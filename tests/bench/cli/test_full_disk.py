@@ -9,13 +9,11 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from tests.bench.commands import Said
+from tests.bench.commands import Said, full
 from tests.bench.small_run import KEPT
 
 CALIBRATION = KEPT / "calibration.toml"
@@ -31,6 +29,14 @@ COMMANDS = {
     "for Bouguet": "calibrate export {calibration} --format bouguet --out {there}/of.mat",
     "for ROS": "calibrate export {calibration} --format ros --camera left --out {there}/of.yaml",
     "a board": "calibrate board chessboard-9x6-40 --pdf {there}/board.pdf",
+    "an arm's frame": "arm frame --port emulator: --homed --out {there}/frame.toml",
+    "an arm's verification": "arm verify --port emulator: --homed --out {there}/arm.toml",
+    "a stage's places": "calibrate stage --rig emulated --out {there}/stage.toml",
+    "bytes": "bath learn --port tcp://127.0.0.1:1 --profile julabo-presto --capture {there}/b",
+    "scenes": "scene record --situation ideal --seeds 2 --out {there}/a/scenes",
+    "boards": "scene boards chessboard-9x6-40 --poses 2 --out {there}/a/boards",
+    "frames": "camera grab --out {there}/a/frames",
+    "a campaign": "campaign run --family ideal --scenes 1 --detector thesis --out {there}/a/b",
     "a detector": "detectors new python --name mine --out {there}/a/detectors",
     "a rig": "init --yes --port socket://127.0.0.1:1 --out {there}/rig.toml",
 }
@@ -41,21 +47,8 @@ ALONE = "a run"  # in a process of its own, which loads on a full disk what it n
 
 CASES = [*((what, 0) for what in COMMANDS), ("a picture", 512), ("a detector", 512)]
 # small files of a set are written, then a large one isn't
-CASES += [(what, 1200) for what in ("tables", "a recording", "a comparison")]
-
-
-@contextmanager
-def full(most: int) -> Iterator[None]:
-    """The system refuses each write as on a full disk, once a file has ``most`` bytes: pytest's own
-    of a test's outcome too, where they go to a file, so a test is over before that.
-    """
-    resource = pytest.importorskip("resource", reason="Windows limits no file's size")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+CASES += [(what, 1200) for what in ("tables", "a recording")]
+CASES += [(what, 10_000) for what in ("a comparison", "scenes", "boards", "frames")]
 
 
 @pytest.mark.slow
@@ -79,6 +72,15 @@ def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     assert re.search(rf"{re.escape(str(there))}\S*: .*File too large\. Make room\.", err), err
     left = [one for one in there.rglob("*") if one.is_dir() or one.stat().st_size]
     assert not left
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a full device")
+def test_output_that_goes_to_a_full_disk_is_named() -> None:
+    command = [sys.executable, "-m", "bench.cli", "rigs"]
+    with Path("/dev/full").open("wb", buffering=0) as out:
+        done = subprocess.run(command, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 3
+    assert done.stderr == "teatbench: stdout: No space left on device. Make room.\n"
 
 
 def test_a_report_that_cannot_be_written_says_that_the_run_is_kept(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from bench.record import recording
 from bench.record.recording import (
     FIELDS,
     Recording,
@@ -20,6 +22,7 @@ from bench.record.recording import (
 )
 from instruments.camera.frame import FrameSet
 from instruments.errors import DeviceError
+from textfiles.whole import replace_whole
 
 HEAD = "frame,situation,teat,x_mm,y_mm,z_mm,visible\n"
 TRUTH = (
@@ -84,6 +87,25 @@ def test_a_folder_is_continued_and_nothing_half_written_counts_or_is_left(folder
     writer.add_truth("0002", TRUTH)
     assert sorted(Recording(folder).truth) == ["0000", "0002"]
     assert Recording(folder).load("0002").left.shape == (24, 32)
+
+
+def test_a_frame_whose_truth_cannot_be_written_is_not_left_without_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, writer = Recording(folder).frames, RecordingWriter(folder)
+
+    def full(path: Path, data: bytes) -> None:
+        if path.name == "truth.csv":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        replace_whole(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recording, "replace_whole", full)
+        with pytest.raises(OSError, match="No space"):
+            writer.add("0002", frame_set(2), TRUTH)
+    assert Recording(folder).frames == before
+    writer.add("0002", frame_set(2), TRUTH)
+    assert "0002" in Recording(folder).truth
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a:b", "..", "a ", "a?b", "a\nb"])

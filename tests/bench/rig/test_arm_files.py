@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.config import ConfigError
+from bench.config import ConfigError, write_file
 from bench.rig.arm_files import (
     LengthTest,
     LocationTest,
@@ -29,7 +29,6 @@ from bench.rig.arm_files import (
     load_frame,
     load_verification,
     verification_text,
-    write_file,
 )
 from bench.toml import toml_text
 from tests.bench.calibrate.arm_rig import MADE
@@ -173,7 +172,7 @@ def test_a_faulty_verification_file_is_refused_in_its_place(
 
 def test_what_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    with pytest.raises(ConfigError, match="`out`"):
+    with pytest.raises(ConfigError, match="Name another place"):
         write_file(tmp_path / "file" / "arm.toml", "x = 1\n")
 
 

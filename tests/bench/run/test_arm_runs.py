@@ -15,10 +15,11 @@ import pytest
 
 from bench.calibrate.arm import VerificationPlan, touch_frame, verify
 from bench.calibrate.simulated_arm import Step, TryingArm
+from bench.config import write_file
 from bench.record.reader import RunRecord, read_run
 from bench.results.stated_arm import unmoved_mm
 from bench.results.verdicts import judge, stored_rules
-from bench.rig.arm_files import VerificationLimits, frame_text, verification_text, write_file
+from bench.rig.arm_files import VerificationLimits, frame_text, verification_text
 from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict
 from bench.truth.arm_check import check_arm, location_of, moved_mm, new_touches, shift_mm

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -314,6 +315,31 @@ def test_a_file_of_events_of_a_killed_bench_goes_on_with_whole_lines(tmp_path: P
     with event_lines(path) as lines:
         Events(Silent(), lines).state("capturing")
     assert [json.loads(line)["what"] for line in path.read_text().splitlines()] == ["doing"] * 2
+
+
+def test_events_are_put_in_behind_damaged_lines_and_a_record_that_fails_ends_nothing(
+    tmp_path: Path,
+) -> None:
+    last = {"number": 7, "what": "event", "kind": "arm", "text": "checked"}
+    before = b"no JSON\n[]\n" + json.dumps(last).encode() + b"\n"
+    (tmp_path / EVENTS_FILE).write_bytes(before)
+    rows = [
+        {"kind": kind, "text": "checked", "t_s": 1.5, "wall_time": "2026-06-01T12:00:00"}
+        for kind in ("stage", "arm", "arm", "end")
+    ]
+    with Events(Silent()).kept_in(tmp_path, lambda: rows):
+        pass
+    added = (tmp_path / EVENTS_FILE).read_bytes().removeprefix(before).splitlines()
+    said = [(line["number"], line["what"], line.get("kind")) for line in map(json.loads, added)]
+    assert said == [(8, "warning", None), (9, "event", "arm"), (10, "event", "end")]
+    screen = Silent()
+
+    def gone() -> list[dict[str, Any]]:
+        raise sqlite3.DatabaseError("file is not a database")
+
+    with Events(screen).kept_in(tmp_path, gone):
+        pass
+    assert screen.warned == [f"{EVENTS_FILE}: no further lines: file is not a database."]
 
 
 def test_a_folder_that_takes_no_events_is_named_once_and_ends_no_run(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ and nothing finished is lost.
 from __future__ import annotations
 
 import errno
+import re
 import shutil
 import sqlite3
 import sys
@@ -257,6 +258,48 @@ def test_a_file_for_lines_that_fails_ends_nothing_and_has_no_half_line(tmp_path:
     told = [f"{name}: no further lines" for name in ("--events", EVENTS_FILE)]
     assert [": ".join(said.split(": ")[:2]) for said in shown.warned] == told, "each once"
     assert [line["number"] for line in read_events(tmp_path)] == [7]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("for_good", [True, False])
+def test_events_that_a_full_disk_did_not_take_are_in_their_file_in_the_end(
+    for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the record, which may have them by the reserve alone; lost lines are said to be so."""
+    files(tmp_path)
+
+    class Refusing(FileIO):
+        full = False
+
+        def write(self, data: Any) -> int:
+            if Refusing.full or b'"trial", "done": 1' in bytes(data):
+                Refusing.full = for_good
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bench.run.events.FileIO", Refusing)
+        if for_good:  # the record's database has no room either
+            FullDisk("_write", FULL[1], for_good=True).put_into(patch)
+        ending = RunState.FAULTED if for_good else RunState.FINISHED
+        assert start(tmp_path)[1] is ending
+    before = list(read_events(only_run(tmp_path, "runs")))
+    if for_good:
+        assert resume(tmp_path, "runs")[1] is RunState.FINISHED
+    run = read_run(only_run(tmp_path, "runs"))
+    lines = list(read_events(run.folder))
+    numbers = [line["number"] for line in lines]
+    assert numbers == sorted(set(numbers))
+    said = [(line["kind"], line["text"]) for line in lines if line["what"] == "event"]
+    assert said == [(event["kind"], event["text"]) for event in run.events]
+    (at,) = [i for i, line in enumerate(lines) if "are missing here" in line.get("text", "")]
+    told = re.match(r"Lines since (\S+) are missing here\. .* (\d+) follow\.", lines[at]["text"])
+    assert told
+    follow = lines[at + 1 : at + 1 + int(told[2])]
+    assert told[1] == follow[0]["wall_time"]
+    kinds = [line["kind"] for line in follow]
+    assert (kinds[0], kinds[-1]) == ("not shown", "end")
+    assert not for_good or (lines[: len(before)] == before and "fault" in kinds)
 
 
 def test_a_file_for_lines_that_cannot_be_opened_is_wrong_use(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -229,6 +230,25 @@ def test_a_closed_output_is_a_terminal_that_has_gone() -> None:
     out.close()
     with pytest.raises(op.OperatorAbort, match="the terminal gives no more input"):
         person("\n", out).ask(op.Touch(1, 4))
+
+
+@pytest.mark.parametrize("columns", [40, 80, 100])
+@pytest.mark.parametrize("prompt", PROMPTS)
+def test_prompts_are_wrapped_between_words_and_keys_have_lines_of_their_own(
+    prompt: str, columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, narrow = io.StringIO(), io.StringIO()
+    person("?\n\n", whole).ask(PROMPTS[prompt])
+    size = os.terminal_size((columns, 24))
+    monkeypatch.setattr(os, "get_terminal_size", lambda _: size)
+    monkeypatch.setattr(narrow, "fileno", lambda: 1)
+    person("?\n\n", narrow).ask(PROMPTS[prompt])
+    lines = narrow.getvalue().splitlines()
+    assert all(len(line) < columns for line in lines), "a line more where the cursor wraps"
+    assert narrow.getvalue().split() == whole.getvalue().split(), "no word is broken"
+    keys = next(i for i, line in enumerate(lines) if "a = abort" in line)
+    enter = next(i for i, line in enumerate(lines) if line.startswith("Enter"))
+    assert 0 < enter <= keys, "what is asked stands above, and ends before"
 
 
 def test_the_screen_is_cleared_for_each_prompt_and_given_back() -> None:
