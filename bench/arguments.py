@@ -156,6 +156,8 @@ def words(hint: Any) -> str:
 def _made_of(hint: Any) -> Any:
     """`Union`, `Literal`, `tuple` of so many, `Iterable` for any list; else its class."""
     origin = get_origin(hint) or hint
+    if named := getattr(origin, "__value__", None):  # an alias, as NDArray is since NumPy 2.5
+        origin = get_origin(named) or named
     if origin is types.UnionType:
         return Union
     if origin is tuple:

@@ -144,6 +144,8 @@ def test_files_that_pip_wrote_over_those_of_the_bench_are_named(
     theirs.mkdir()
     (theirs / "METADATA").write_text("Name: instrumentkit\nVersion: 0.6.0\n", encoding="utf-8")
     (theirs / "RECORD").write_text("instruments/__init__.py,,\n", encoding="utf-8")
+    (tmp_path / "instruments").mkdir()
+    (tmp_path / "instruments" / "__init__.py").touch()
     assert not _teatbench.installed_over()
     monkeypatch.syspath_prepend(tmp_path)
     says = "instrumentkit has files in teatbench's package 'instruments': give teatbench an"

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from instruments.errors import LinkError
 
 COUNTS = "gray16le"
+# to PyAV before 19, metadata that are no UTF-8 are an error; since then nothing is to be said of it
+LENIENT: dict[str, Any] = {"metadata_errors": "replace"} if av.__version__ < "19" else {}
 DAMAGED = (av.FFmpegError, OSError, ValueError, LookupError)  # what the library raises for a file
 
 
@@ -27,7 +29,7 @@ class VideoFile:
         self._counts = counts
         self._frame: av.VideoFrame | None = None
         try:
-            self._container = av.open(str(path), metadata_errors="replace")
+            self._container = av.open(str(path), **LENIENT)
             self._frames = self._read(self._container.streams.video[0])
         except DAMAGED as error:
             hint = "Is it a video file, whole and of a common format?"
