@@ -46,6 +46,7 @@ def hostile_script() -> str:
 
 
 def abort_in_reach(page: Page) -> None:
+    expect(page.locator("#abort")).to_be_visible(timeout=SOON_MS)  # the page of a run, not the list
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate(ON_TOP), (width, height)
