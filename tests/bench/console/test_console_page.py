@@ -201,9 +201,11 @@ def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
     """Its card says what runs, on both pages; the page of a run that ended goes on to the next."""
     runs = tmp_path / "runs"
     first, second = (Path(shutil.copytree(KEPT, runs / f"kept-{n}")) for n in "12")
-    with closing(sqlite3.connect(first / DATABASE)) as db, db:
-        db.execute("DELETE FROM facts WHERE key = 'ending'")
-    written_anew(first)
+    ended = shutil.copy(second / DATABASE, tmp_path / "ended")
+    for under_way in (first, second):
+        with closing(sqlite3.connect(under_way / DATABASE)) as db, db:
+            db.execute("DELETE FROM facts WHERE key = 'ending'")
+        written_anew(under_way)
     note = QueueNote.begin(runs, "a rig", ["one", "two", "three"])
     with served.console(runs, tmp_path) as one, browser_page() as seen:
         page, card = seen.page, seen.page.locator("#queue")
@@ -221,6 +223,7 @@ def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
             note.runs(second)
             expect(card).to_contain_text("Script 2 of 3: two", timeout=SOON_MS)
             page.wait_for_url(f"**/#/{second.name}", timeout=SOON_MS)
+        shutil.copy(ended, second / DATABASE)
         note.ends("tripped by interlock cold")
         expect(card).to_contain_text("Ended early, 1 of 3 scripts finished", timeout=SOON_MS)
         assert page.url.endswith(second.name), "a queue that has ended is left where it is"
