@@ -214,6 +214,7 @@ def test_sessions_of_others_go_on_as_without_the_plug_in(pytester: pytest.Pytest
             assert request.config.getoption("--rig") == "emulated"
 
         @pytest.mark.requirement(7, level="must")
+        @hypothesis.settings(deadline=None)
         @hypothesis.given(hypothesis.strategies.just(0))
         def test_numbered(number):
             with pytest.raises(ImportError, match=r"6\\.139 or newer: pip install"):
