@@ -5,7 +5,6 @@ be the same for a campaign to go on.
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -36,7 +35,7 @@ from bench.scoring.rates import Rate
 from bench.scoring.sequential import confidence_sequence
 from bench.script.detectors import EXEC, FILE, introduced, make_detectors
 from bench.toml import toml_text
-from bench.version import __version__
+from bench.version import __version__, versions
 from detector.calibration import Calibration
 from detector.protocol import Detector
 from instruments.world.scene import Renderer
@@ -279,7 +278,7 @@ def of_program() -> dict[str, str]:
         )
     ]
     source = digest_of(*(path.read_text(encoding="utf-8") for path in files))
-    libraries = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in LIBRARIES)
+    libraries = ", ".join(f"{name} {one}" for name, one in versions(LIBRARIES).items())
     return {"teatbench": f"{__version__} {source}", "libraries": libraries}
 
 

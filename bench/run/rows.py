@@ -13,7 +13,6 @@ import platform
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
 from bench.run.notify import without_secrets
 from bench.truth.joint import FRAME_FACT
-from bench.version import __version__
+from bench.version import __version__, versions
 from detector.protocol import Detector
 from instruments.clock import wall_time
 
@@ -112,9 +111,6 @@ def write_arm_facts(store: Store, rig: LoadedRig) -> None:
         store.fact(VERIFICATION_FACT, as_dict(rig.verification))
 
 
-LIBRARIES = ("numpy", "opencv-python-headless", "scipy", "pymodbus", "pyserial")
-
-
 def write_facts(
     store: Store, facts: Mapping[str, Any], detectors: Sequence[Detector], calibration: Path
 ) -> None:
@@ -126,7 +122,12 @@ def write_facts(
         "detectors": [detector.name for detector in detectors],
         "items": {detector.name: _item(detector) for detector in detectors},
         "calibration_sha256": hashlib.sha256(calibration.read_bytes()).hexdigest(),
-        "versions": versions(),
+        "versions": {
+            "teatbench": __version__,
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            **versions(),
+        },
         "commit": commit(Path(__file__).resolve().parents[2] / ".git"),
         "command": shlex.join(
             ["teatbench" if ours else str(program), *without_secrets(sys.argv[1:])]
@@ -168,18 +169,3 @@ def commit(git: Path) -> str | None:
     except (OSError, UnicodeDecodeError):
         return None
     return next((line.split()[0] for line in packed if line.endswith(f" {name}")), None)
-
-
-def versions() -> dict[str, str]:
-    """Of the bench, of Python, of the machine and of the libraries that figures depend on."""
-    found = {
-        "teatbench": __version__,
-        "python": platform.python_version(),
-        "machine": f"{platform.system()} {platform.machine()}",
-    }
-    for name in LIBRARIES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found

@@ -79,6 +79,7 @@ from bench.script.model import (
 )
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
+from bench.version import other_opencv
 from detector.protocol import Detector
 from instruments.camera.frame import FrameSet
 from instruments.captures.capture import CaptureFile
@@ -144,7 +145,8 @@ def run_queue(
         note = QueueNote.begin(out, rig.rig.name, [one.name for one in scripts])
         for number, (script, detectors) in enumerate(zip(scripts, under_test, strict=True), 1):
             held.more = number < len(scripts)
-            for text in (*_contradicted(rig, script), *not_fresh(rig, script, wall_time().date())):
+            stale = not_fresh(rig, script, wall_time().date())
+            for text in (*_contradicted(rig, script), *stale, *filter(None, [other_opencv()])):
                 events.warn(text)
             recorded = None
             if how.record:
