@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import cv2
 import pytest
 
 from bench.rig.loading import RIGS
@@ -177,6 +178,10 @@ def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
     seen = capsys.readouterr().err
     assert "ZeroDivisionError: a mistake" in seen
     assert seen.endswith("teatbench: internal error; please report the traceback above\n")
+    monkeypatch.setattr(cv2, "__version__", "4.11.0")
+    assert teatbench("check") == 3
+    seen = " ".join(capsys.readouterr().err.split())
+    assert "teatbench: internal error. OpenCV is 4.11.0, another package's (pip: " in seen
 
 
 @pytest.mark.parametrize("raised", [ZeroDivisionError(), SystemExit(), GeneratorExit()], ids=repr)
