@@ -10,7 +10,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import cv2
 import pytest
 
 from bench.rig.loading import RIGS
