@@ -5,16 +5,14 @@ so that `bench` may import its own rooms.
 __version__ = "0.2.0"
 
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy", "pymodbus", "pyserial")
-OPENCV = "opencv-python-headless"
+# packages on PyPI have modules of these names too, and write over the files of ours
+CONTESTED = {"opencv-python-headless": "cv2", "pyserial": "serial"}
 
 
 def versions(names: tuple[str, ...] = LIBRARIES) -> dict[str, str]:
-    """Of libraries, as pip has them; of OpenCV as it says itself, where that is another: each of
-    its packages on PyPI writes over the files of the others.
-    """
+    """Of libraries, as pip has them; as the module says itself, where that is another."""
+    from importlib import import_module
     from importlib.metadata import PackageNotFoundError, version
-
-    import cv2
 
     found = dict[str, str]()
     for name in names:
@@ -22,17 +20,25 @@ def versions(names: tuple[str, ...] = LIBRARIES) -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = "unknown"
-    if OPENCV in found and not found[OPENCV].startswith(cv2.__version__):
-        found[OPENCV] = f"{cv2.__version__}, another package's (pip: {found[OPENCV]})"
+        if module := CONTESTED.get(name):
+            own = str(getattr(import_module(module), "__version__", "of no version"))
+            if not found[name].startswith(own):
+                found[name] = f"{own}, another package's (pip: {found[name]})"
     return found
 
 
-def other_opencv() -> str:
-    """A sentence where another package's OpenCV is in use; "" for ours."""
-    found = versions((OPENCV,))[OPENCV]
-    if "," not in found:
-        return ""
-    return (
-        f"OpenCV is {found}: detectors and calibrations may give other figures than docs have."
-        f" Uninstall every package of OpenCV, and install {OPENCV} again."
-    )
+def overwritten() -> str:
+    """A sentence where another package's module is in use instead of a library; "" where none is.
+
+    OpenCV's packages are many, and PyPI's ``serial`` is not pyserial.
+    """
+    from importlib.metadata import packages_distributions
+
+    for name, found in versions(tuple(CONTESTED)).items():
+        if "," in found:
+            module = CONTESTED[name]
+            others = sorted({*packages_distributions().get(module, ())} - {name})
+            rid = ", ".join(others or ["what wrote over it"])
+            cure = f"uninstall {rid} and {name}, and install {name} again"
+            return f"Python's {module} is {found}: {cure}."
+    return ""

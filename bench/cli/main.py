@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from bench.cli import commands
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches, stdout_for_json
 from bench.safety.signals import installed
-from bench.version import __version__, other_opencv
+from bench.version import __version__, overwritten
 from reports.sanitize import keep_writing, sanitizing
 from textfiles.text import did_you_mean, full_stop, in_command, words_of
 from textfiles.whole import is_full
@@ -229,8 +229,8 @@ def _unforeseen(error: BaseException, kept: str) -> int:
         said = f"{text}.{hint}" if error.errno else str(error)
         return complain(_with_cure(said, error), CODES.fault)
     traceback.print_exception(error)
-    with suppress(Exception):  # of what OpenCV says itself
-        if why := other_opencv():
+    with suppress(Exception):  # of such a module
+        if why := overwritten():
             return complain(f"internal error{stays}. {why}", CODES.fault)
     return complain(f"internal error; please report the traceback above{stays}", CODES.fault)
 

@@ -79,7 +79,7 @@ from bench.script.model import (
 )
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
-from bench.version import other_opencv
+from bench.version import overwritten
 from detector.protocol import Detector
 from instruments.camera.frame import FrameSet
 from instruments.captures.capture import CaptureFile
@@ -146,7 +146,7 @@ def run_queue(
         for number, (script, detectors) in enumerate(zip(scripts, under_test, strict=True), 1):
             held.more = number < len(scripts)
             stale = not_fresh(rig, script, wall_time().date())
-            for text in (*_contradicted(rig, script), *stale, *filter(None, [other_opencv()])):
+            for text in (*_contradicted(rig, script), *stale, *filter(None, [overwritten()])):
                 events.warn(text)
             recorded = None
             if how.record:

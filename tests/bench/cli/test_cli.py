@@ -180,7 +180,7 @@ def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
     monkeypatch.setattr(cv2, "__version__", "4.11.0")
     assert teatbench("check") == 3
     seen = " ".join(capsys.readouterr().err.split())
-    assert "teatbench: internal error. OpenCV is 4.11.0, another package's (pip: " in seen
+    assert "teatbench: internal error. Python's cv2 is 4.11.0, another package's (pip: " in seen
 
 
 @pytest.mark.parametrize("raised", [ZeroDivisionError(), SystemExit(), GeneratorExit()], ids=repr)
