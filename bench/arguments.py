@@ -88,6 +88,17 @@ class GuardedProxy:
             raise ArgumentError.plain(str(error)) from error
 
 
+def bare(thing: Kind) -> Kind:
+    """What a `GuardedProxy` stands for, anything else as it is: since Python 3.12 a check for a
+    protocol does not look through one. Raises LimitError for what was given back.
+    """
+    if type(thing) is not GuardedProxy:
+        return thing
+    own = vars(thing)
+    own["_given"]()
+    return cast(Kind, own["_of"])
+
+
 @contextmanager
 def lent(of: Kind, who: str) -> Iterator[Kind]:
     """``of`` until the block ends, and never after."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from bench.arguments import lent
+from bench.arguments import bare, lent
 from bench.config import ConfigError, check_within, wrong_use
 from bench.record.recording import TruthRow
 from bench.results.answers import (
@@ -161,7 +161,8 @@ def detect(detector: str | Detector, shot: Shot, *, timeout_s: float | None = No
     for a detector that isn't there.
     """
     check_within(ABOVE_0, timeout_s=timeout_s)
-    with _opened(detector, None) as asked:
+    with _opened(detector, None) as opened:
+        asked = bare(opened)
         if isinstance(asked, DetectorProcess):
             asked.most_s = timeout_s or math.inf
         limit_s = timeout_s or TIMEOUT_S

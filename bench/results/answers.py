@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.arguments import bare
 from bench.record.recording import TruthRow
 from bench.results.working_volume import outside_volume
 from bench.scoring.scene import SceneScore, score_scene
@@ -249,6 +250,7 @@ def examine(
     context: Context | None = None,
 ) -> Answer:
     """Detect, timed. Any failure becomes an answer without teats that gives the reason."""
+    detector = bare(detector)
     served = detector if isinstance(detector, DetectorProcess) else None
     shown = _ReadOnlyFrames(frames)
     seconds, used_s, outcome = 0.0, 0.0, Outcome.ANSWERED

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.api.shots import Shot, load_rig, open_detector, score
+from bench.arguments import bare
 from bench.config import ConfigError, check_within
 from bench.results.answers import LIMIT_MM, Answer, examine, name_of
 from bench.rig.scenes import rig_renderer
@@ -201,7 +202,7 @@ def asked(detector: str | Detector, shot: Shot, timeout_s: float | None = None) 
     """The answer of a detector whose process goes on to live. An object that hangs is left behind
     in its thread.
     """
-    one = _named(detector) if isinstance(detector, str) else detector
+    one = _named(detector) if isinstance(detector, str) else bare(detector)
     limit_s = timeout_s or PATIENCE_S
     if isinstance(one, DetectorProcess):
         one.most_s = timeout_s or math.inf
