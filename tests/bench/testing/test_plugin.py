@@ -474,9 +474,11 @@ def test_a_rig_that_cannot_be_opened_is_said_with_its_cause(pytester: pytest.Pyt
 
 @pytest.mark.slow
 def test_an_object_is_found_in_a_test_of_its_own_and_deadlines_are_those_of_scenes(
-    pytester: pytest.Pytester, rig: str
+    pytester: pytest.Pytester, rig: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first session in a process whose hypothesis is fresh."""
+    defaults = vars(bench.testing.check)["__wrapped__"].__kwdefaults__
+    monkeypatch.setitem(defaults, "rig", defaults["rig"])  # the second session is in this process
     patient = SLOW.format((3600.0, False)).replace("test_slow", "test_patient")
     pytester.makepyfile(test_own=OWN + patient, test_slow=SLOW.format((300, True)))
     pytester.makeconftest(
