@@ -22,7 +22,12 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.drivers.entry_points import Kind
 from tests.lab_drivers import importable, world_of_few_pixels
 
-pytestmark = pytest.mark.slow
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings(
+        "ignore::pytest.PytestUnraisableExceptionWarning"
+    ),  # ports left open
+]
 Driver = Any
 Was = Callable[[], Any]
 Make = Callable[[Driver], Driver]
@@ -221,6 +226,13 @@ def _packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _ports_left_open_are_python_s_to_close() -> Iterator[None]:
+    """Here, not amid another module's tests."""
+    yield
+    gc.collect()
+
+
 def failed(
     name: str, broken: Make, last: str = "none", clock: Clock | None = None
 ) -> dict[str, str]:
@@ -254,12 +266,10 @@ def test_a_broken_promise_fails_its_check(name: str, broken: Make, check: str) -
     assert not why.startswith(("it can't be opened", "cause as of")), said
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_port_that_is_left_to_python_to_close_is_seen_in_real_time() -> None:
     with closing(RealClock()) as clock:
         said = failed("Tank", method("close", nothing), "closes", clock)
     assert [*said.values()] == ["its port is open though it was closed"]
-    gc.collect()
 
 
 @pytest.mark.parametrize("name", DRIVERS)
