@@ -24,9 +24,8 @@ VENV = ROOT / ".venv"
 LOCKS = ROOT / "locks"  # made by the command at the top of each, after that of constraints.txt
 NEEDED = (3, 11)
 PYTEST_OPTIONS = (
-    # a test in real time mostly waits; each process takes 20 s of a processor to start, and 0.9 GB:
-    # of fewer than five each would hold more than a test may leave
-    *("-n", str(max(os.cpu_count() or 1, min(4 * (os.cpu_count() or 1), 10), 5))),
+    # a test in real time mostly waits; each process takes 20 s of a processor to start, and 1 GB
+    *("-n", str(max(os.cpu_count() or 1, min(3 * (os.cpu_count() or 1), 10)))),
     *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
     *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
 )

@@ -30,7 +30,8 @@ from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
-TRIM_MIB, GROWN_MIB, MOST_MIB = 700.0, 32.0, 1024.0
+# libraries, compiled loops and collected tests alone are some 900 MiB; Python 3.13's are larger
+TRIM_MIB, GROWN_MIB, MOST_MIB = 700.0, 32.0, 1280.0
 SLOW_S = 1.0 / 3.0  # as the marker says
 STANDBY, UNMARKED = "s to standby, ", "s of a processor, "
 # rooms and files whose tests run the bench and look at no figure: made up to their last artist,
