@@ -5,7 +5,7 @@ begin here, under a name that nobody else has.
 
 import os
 from importlib.util import find_spec
-from types import SimpleNamespace
+from types import ModuleType
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -64,9 +64,10 @@ def __getattr__(name: str) -> "Any":
     if name != "plugin":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if why := hiding():
-        return SimpleNamespace(
-            pytest_report_header=lambda: f"teatbench's plug-in is left out: {why}"
-        )
+        without = ModuleType("teatbench, left out")
+        said = f"teatbench's plug-in is left out: {why}"
+        vars(without)["pytest_report_header"] = lambda: said
+        return without
     from bench.testing import plugin
 
     return plugin

@@ -5,11 +5,10 @@ has teatbench loads it, so that nothing is imported before it is asked for.
 
 from __future__ import annotations
 
-import argparse
 import glob
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -45,8 +44,16 @@ def pytest_load_initial_conftests(parser: pytest.Parser) -> Generator[None, None
     for name, (usual, what) in OPTIONS.items():
         how = {"type": str if isinstance(usual, str) else Path, "default": usual, "help": what}
         shown = name.lstrip("-").replace("-", "_").upper()
-        with suppress(ValueError, argparse.ArgumentError):
+        if not _is_taken(parser, name):
             group.addoption(name, dest=_PREFIX + name, metavar=shown, **how)
+
+
+def _is_taken(parser: pytest.Parser, name: str) -> bool:
+    one = f"{name}=1"
+    try:
+        return one not in parser.parse_known_and_unknown_args([one])[1]
+    except pytest.UsageError:  # an option of another kind
+        return True
 
 
 def _given(config: pytest.Config, name: str) -> Any:
