@@ -160,8 +160,7 @@ STAGE_LINK = (
     ),
     option(
         "--dialect",
-        "with --port: what it speaks (default: grbl, which is Grbl, grblHAL or FluidNC; a Zaber"
-        " stage needs a rig file)",
+        "with --port: what it speaks (default: grbl, which is Grbl, grblHAL or FluidNC)",
         choices=("grbl", "marlin"),
     ),
 )

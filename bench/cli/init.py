@@ -16,6 +16,7 @@ from bench.rig.model import Rig, camera_url
 from instruments.bath.profile import load_profile
 from instruments.camera.radiometric import PROFILES
 from instruments.clock import wall_time
+from instruments.drivers.entry_points import PluginUrl
 from textfiles.text import in_command
 
 # standard uncertainty by model, mm, as the maker states it
@@ -116,7 +117,7 @@ def _day(answer: str) -> str:
 def _stage(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
     answer = ask(f"What does the stage move ({', '.join(AXES)})?", AXES[0])
     axes = _one_of("the axes", answer.upper(), AXES)
-    values: dict[str, object] = {"axes": axes, "dialect": found.dialect}
+    values: dict[str, object] = {"axes": axes}
     if found.dialect == "zaber":
         devices = ask(
             f"Which device and axis moves {', '.join(axes)} (there are"
@@ -127,8 +128,12 @@ def _stage(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
         if not scales:  # a guess would move it wrongly
             print(f"left out: {found.url}; a Zaber stage needs its microsteps per mm")
             return {}
-        values["zaber_axes"] = [one.strip() for one in devices.split(",")]
-        values["microsteps"] = _figures("microsteps per mm", scales, "20997.4, 20997.4")
+        _figures("microsteps per mm", scales, "20997.4, 20997.4")
+        keys = {"devices": devices, "microsteps": scales, "axes": axes}
+        plug = PluginUrl("zaber", {key: one.replace(" ", "") for key, one in keys.items()})
+        values["url"] = plug.at(found.url)
+    else:
+        values["dialect"] = found.dialect
     if found.dialect != "grbl":  # places are positive
         there = ask("Where does it stand as the layouts say, x and y in mm?", "150.0, 137.5")
         values["reference_mm"] = _figures("a place", there, "150.0, 137.5")

@@ -54,6 +54,7 @@ from detector.protocol import Detector, Outcome
 from instruments.bath.profile import load_profile
 from instruments.camera.frame import FrameSet
 from instruments.clock import VirtualClock
+from instruments.drivers.entry_points import plugin_url
 from instruments.drivers.protocols import Cameras as OpenCameras
 from instruments.errors import DeviceError
 from instruments.microscribe.unit import shipped_unit
@@ -260,7 +261,7 @@ def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -
     tables |= {
         "arm": r.arm.model_copy(update={"url": EMULATED}),
         "bath": r.bath.model_copy(update={"url": EMULATED, "pump_url": pump_url}),
-        "stage": _twin_stage(r.stage, stage) if r.stage else None,
+        "stage": r.stage.model_copy(update={"url": EMULATED}) if r.stage else None,
         "emulation": _world(rig, script, stage),
     }
     unit = rig.arm_unit or shipped_unit(USUAL_ARM)
@@ -287,9 +288,10 @@ def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) ->
         update["arm_placed"] = Placement().model_copy(update=place)
     if rig.rig.stage is not None:
         settings, high_mm = _stage_settings(rig, script, rig.rig.stage, stage)
+        firmware = "grblHAL" if "A" in rig.rig.stage.axes else "grbl"
         turned = script.registration.world_from_stage.R if script.registration else np.eye(3)
         table = {
-            "dialect": "grblHAL" if "A" in rig.rig.stage.axes else "grbl",
+            "dialect": "FluidNC" if _configured(rig.rig.stage, stage) else firmware,
             "settings": settings,
             "high_mm": high_mm,
             "yaw_rad": atan2(turned[1, 0], turned[0, 0]),
@@ -298,15 +300,13 @@ def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) ->
     return rig.rig.emulation.model_copy(update=update)
 
 
-def _twin_stage(stage: Stage, known: StageSettings | None) -> Stage:
-    """With an emulator; a FluidNC whose machine space is not negative has another firmware's."""
-    spoken: str = stage.dialect
-    if known is not None and known.low_mm and spoken == "grbl" and any(_highs(known)):
-        spoken = "zaber" if "A" in stage.axes else "marlin"
-    update: dict[str, object] = {"url": EMULATED, "zaber_axes": (), "dialect": spoken}
-    if known is not None and spoken == "zaber":
-        update["microsteps"] = tuple([known.steps_per_mm[AXES.index(axis)] for axis in stage.axes])
-    return stage.model_copy(update=update)
+def _configured(stage: Stage, known: StageSettings | None) -> bool:
+    """Whether its high ends are not at 0, which of the emulated firmwares FluidNC has too. Where a
+    plug-in's are is not known before it was asked; its places may be above 0.
+    """
+    if known is None:
+        return plugin_url(stage.url) is not None
+    return stage.dialect == "grbl" and bool(known.low_mm) and any(_highs(known))
 
 
 def _highs(known: StageSettings) -> list[float]:
@@ -319,7 +319,7 @@ def _stage_settings(
     """Settings by Grbl's numbers, and the machine coordinates of the high ends where they are not
     0: those ``known``, or a travel that no place of the script exceeds.
     """
-    from_low_end = _twin_stage(table, known).dialect != "grbl"
+    from_low_end, configured = table.dialect != "grbl", _configured(table, known)
     if known is not None:
         pull_off_mm = known.pull_off_mm or 1.0
         way = [travel + pull_off_mm * from_low_end for travel in known.travel_mm]
@@ -331,13 +331,14 @@ def _stage_settings(
             if known.travel_mm[axis] > 0
         }
         homing = {24: known.homing_feed_mm_min, 25: known.homing_seek_mm_min, 27: pull_off_mm}
-        return numbered | homing, (*_highs(known), 0.0)[:4] if from_low_end else None
+        high_mm = (*_highs(known), 0.0)[:4] if from_low_end or configured else None
+        return numbered | homing, high_mm
     poses = [pose for one in script.planned for pose in (one.approach, one.pose) if pose]
     sent = [shared(pose, table.axes)[0] for pose in (*poses, *registered_at(rig, script))]
     places = np.array([list(table.machine(pose).values()) for pose in sent])
     at = [AXES.index(axis) for axis in table.axes]
     high = [0.0] * 4
-    if from_low_end:
+    if from_low_end or configured:
         for axis, place in zip(at, places.max(axis=0).tolist(), strict=True):
             high[axis] = place + ROOM_MM
     usual = usual_stage()
@@ -345,7 +346,7 @@ def _stage_settings(
         130 + axis: max(usual[130 + axis], high[axis] + ROOM_MM - low)
         for axis, low in zip(at, places.min(axis=0).tolist(), strict=True)
     }
-    return ways, tuple(high) if from_low_end else None
+    return ways, tuple(high) if from_low_end or configured else None
 
 
 def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozenset[str]:

@@ -266,7 +266,7 @@ def describe_stage(stage: Stage) -> dict[str, object]:
     """Identity, state, position and travel; units are in the names."""
     identity, settings, status = stage.identity, stage.settings, stage.status()
     travel = {f"travel_{KEYS[axis]}": [at.low_mm, at.high_mm] for axis, at in stage.limits.items()}
-    reports = identity.dialect not in ("Marlin", "Zaber")
+    reports = identity.dialect in ("Grbl", "grblHAL", "FluidNC")
     pins = {"pins": ", ".join(status.pins) or "none active"} if reports else {}
     return {
         **{key: getattr(identity, key) for key in ("dialect", "version", "build")},

@@ -119,7 +119,8 @@ class EmulatedRig:
         # on a port of its own; without one, and with a controller that turns none, the pump stands
         framing = self._framing(relay) if relay else None
         self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
-        self.stage = self._stage(r, r.stage) if r.stage else None
+        own = r.stage and plugin_url(r.stage.url) is None
+        self.stage = self._stage(r, r.stage) if r.stage and own else None
         self._plugged = self._plugged_emulators(r)
         try:
             for at, fault in enumerate(emulation.faults):
@@ -185,7 +186,9 @@ class EmulatedRig:
             kind: Kind = "camera" if name == "cameras" else name  # type: ignore[assignment]
             make = load(kind, plug, emulator=True).make
             found[name] = made = emulator_of(make, self.world, self._clock)
-            if name == "stage" and hasattr(made, "position_mm"):
+            if isinstance(made, StageEmulator):
+                self.stage = self._carrying(rig, made)
+            elif name == "stage" and hasattr(made, "position_mm"):
                 self.follow_stage(rig, made.position_mm)
         return found
 
@@ -234,19 +237,24 @@ class EmulatedRig:
         self.close()
 
     def _stage(self, rig: Rig, said: Stage) -> StageEmulator:
-        """A stage that carries the phantom; at its reference place it stands as laid out."""
+        """As the rig file has it."""
         errors = rig.emulation.stage
         axes = 4 if "A" in said.axes else 3
-        steps = {100 + "XYZA".index(a): n for a, n in zip(said.axes, said.microsteps, strict=False)}
         play_mm = (*errors.backlash_mm, errors.backlash_deg)[:axes]
         stage = StageEmulator(
             self._clock,
-            settings=errors.settings | steps,
+            settings=errors.settings,
             dialect=DIALECTS[errors.firmware(said)],
             axes=axes,
             play_mm=play_mm,
             high_mm=errors.high_mm and errors.high_mm[:axes],
         )
+        return self._carrying(rig, stage)
+
+    def _carrying(self, rig: Rig, stage: StageEmulator) -> StageEmulator:
+        """Have the phantom stand on ``stage``; at its reference place it stands as laid out."""
+        assert rig.stage  # noqa: S101 - there is one
+        errors, said = rig.emulation.stage, rig.stage
         mounting = self._mounted(errors, said, lambda: stage.position_mm().tolist())
 
         def velocity() -> tuple[float, float, float]:

@@ -32,17 +32,19 @@ from instruments.bath.profile import load_profile, profile_names
 from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, ProtocolError
 from instruments.link import Link
-from instruments.stage import marlin, zaber
+from instruments.stage import marlin
 from instruments.stage.connection import BOOT_S
-from instruments.stage.protocol import STATUS_QUERY, Decoder, Message, Reply, Status, Welcome
+from instruments.stage.protocol import STATUS_QUERY, Decoder, Message, Status, Welcome
 
+ZABER_ASKED = b"/get pos\n"  # of all devices of a chain
+_ZABER_SAID = re.compile(rb"@(\d\d) 0 OK (?:IDLE|BUSY) \S\S ([-\d ]+)")
 TALKS_S, TALK_BYTES = 1.0, 200
 LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within this
 
 
 @dataclass(frozen=True, slots=True)
 class FoundInstrument:
-    """What answered at ``url``, as who: a bath's profiles, a stage's dialect, Zaber's axes."""
+    """What answered at ``url``, as who: a bath's profiles, a stage's dialect, a Zaber's devices."""
 
     kind: str
     url: str
@@ -146,13 +148,11 @@ def _marlin_or_zaber(url: str, clock: Clock) -> FoundInstrument | None:
                 if isinstance(answer, Message) and answer.text.startswith("FIRMWARE_NAME:Marlin"):
                     who = answer.text.removeprefix("FIRMWARE_NAME:").partition(" (")[0]
                     return FoundInstrument("stage", url, who, dialect="marlin")
-        link.write(zaber.GET_POSITIONS)
-        received = Decoder(zaber.parse).feed(link.drain(0.3, at_most_s=0.6))
-        replies = [answer for answer in received if isinstance(answer, Reply)]
+        link.write(ZABER_ASKED)
         devices = tuple(
-            f"{one.device} {axis}"
-            for one in replies
-            for axis in range(1, 1 + len(one.data.split()))
+            f"{int(device)}.{axis}"
+            for device, places in _ZABER_SAID.findall(link.drain(0.3, at_most_s=0.6))
+            for axis in range(1, 1 + len(places.split()))
         )
     if not devices:
         return None

@@ -48,13 +48,12 @@ def retried(
 
 @dataclass(frozen=True, slots=True)
 class StageTarget:
-    """A stage, as its driver is made; ``motors`` of a Zaber: device, axis, microsteps."""
+    """A stage, as its driver is made."""
 
     url: str
     baud: int
     dialect: str
     axes: str
-    motors: tuple[tuple[int, int, float], ...] = ()
 
 
 class StageStop:
@@ -63,9 +62,7 @@ class StageStop:
     def __init__(self, at: StageTarget, clock: RealClock) -> None:
         from instruments.link import Link
         from instruments.stage.driver import Stage
-        from instruments.stage.zaber import Motor
 
-        motors = [Motor(*motor) for motor in at.motors]
         plugged = None
         if at.url.startswith(PLUGIN):
             from instruments.drivers.entry_points import load, plugin_url
@@ -80,7 +77,7 @@ class StageStop:
                     stage.safe()
                 return
             with closing(Link(at.url, clock, who="stage", baud=at.baud)) as link:
-                Stage(link, clock, at.axes, dialect=at.dialect, motors=motors).safe()  # type: ignore[arg-type]
+                Stage(link, clock, at.axes, dialect=at.dialect).safe()  # type: ignore[arg-type]
 
         self._stop = stop
         self._clock = clock

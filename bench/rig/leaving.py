@@ -51,8 +51,7 @@ def target_of(rig: LoadedRig, *, bath: str = "", pump: str = "", stage: str = ""
         inferred = rig.rig.bath.allow_inferred
         target = GuardianTarget(bath, rig.profile_source, pump, rig.relay_source, inferred)
     if stage and table:
-        motors = table.motors if table.dialect == "zaber" else ()
-        at = StageTarget(stage, table.baud, table.dialect, table.axes, tuple(motors))
+        at = StageTarget(stage, table.baud, table.dialect, table.axes)
         target = replace(target, stage=at)
     return target
 

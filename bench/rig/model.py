@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import date
 from typing import Annotated, Any, Literal
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 from pydantic import (
     AfterValidator,
@@ -158,16 +158,11 @@ class Bath(Section):
         return self
 
 
-EMULATED_MICROSTEPS = {"X": 250.0, "Y": 250.0, "Z": 250.0, "A": 100.0}  # per mm, per degree
-
-
 class Stage(Section):
     url: Annotated[str, AfterValidator(stage_url)]
     baud: Literal[9600, 19200, 38400, 57600, 115200, 250000] = 115200
-    dialect: Literal["grbl", "marlin", "zaber"] = "grbl"
+    dialect: Literal["grbl", "marlin"] = "grbl"
     axes: Literal["XY", "XYZ", "XYA", "XYZA"] = "XY"
-    zaber_axes: tuple[Annotated[str, Field(pattern=r"^\d{1,2} [1-9]$")], ...] = ()
-    microsteps: tuple[Positive, ...] = ()
     reference_mm: tuple[Millimetres, Millimetres] = (-150.0, -137.5)
     reference_z_mm: Millimetres = -50.0
     reference_a_deg: Millimetres = -180.0
@@ -176,31 +171,42 @@ class Stage(Section):
     squareness_u_rad: Annotated[float, Field(ge=0, le=0.1)] = 5e-4
     repeatability_mm: Annotated[float, Field(ge=0, le=10)] = 0.02
 
+    @model_validator(mode="before")
+    @classmethod
+    def _zaber_is_a_plugin(cls, table: Any) -> Any:
+        """``dialect = "zaber"`` with its two keys, as rig files had it, is that plug-in's URL."""
+        if not isinstance(table, dict) or table.get("dialect") != "zaber":
+            return table
+        axes, emulated = str(table.get("axes", "XY")), table.get("url") == EMULATED
+        devices = table.get("zaber_axes") or [1 + "XYZA".find(axis) for axis in axes]
+        usual = [100 if axis == "A" else 250 for axis in axes] if emulated else []
+        microsteps = table.get("microsteps") or usual
+        if not len(devices) == len(microsteps) == len(axes):
+            raise ValueError(
+                f"a Zaber stage {axes} needs {len(axes)} devices and {len(axes)} microsteps"
+            )
+        keys = {
+            "devices": ",".join(str(one).replace(" ", ".") for one in devices),
+            "microsteps": ",".join(map(str, microsteps)),
+            "axes": axes,
+        }
+        if not emulated:
+            keys |= {"url": str(table.get("url")), "baud": str(table.get("baud", 115200))}
+        kept = {  # no JSON any more, in which a list is a tuple
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in table.items()
+            if key not in ("dialect", "zaber_axes", "microsteps")
+        }
+        place = "emulator" if emulated else "plugin"
+        return kept | {"url": f"{place}:zaber?{urlencode(keys, safe=',:/')}"}
+
     @model_validator(mode="after")
-    def _has_its_motors(self) -> Stage:
+    def _can_turn(self) -> Stage:
         if self.dialect == "marlin" and "A" in self.axes:
             raise ValueError(
                 'a Marlin stage is driven in X, Y and Z only; declare axes without "A"'
             )
-        if self.dialect != "zaber":
-            if self.zaber_axes or self.microsteps:
-                raise ValueError('zaber_axes and microsteps go with dialect = "zaber"')
-        elif self.url != EMULATED:
-            examples = {"zaber_axes": '["1 1", "2 1"] (device, axis)'}
-            examples |= {"microsteps": "[20997.4, 20997.4] (per mm or degree)"}
-            for key, example in examples.items():
-                if len(getattr(self, key)) != len(self.axes):
-                    what = f"a Zaber stage {self.axes} needs {len(self.axes)} {key}"
-                    raise ValueError(f"{what}, one an axis, as {key} = {example}")
         return self
-
-    @property
-    def motors(self) -> list[tuple[int, int, float]]:
-        """Of a Zaber stage: device, its axis, microsteps per mm or degree."""
-        devices = self.zaber_axes or tuple([f"{1 + 'XYZA'.index(one)} 1" for one in self.axes])
-        scales = self.microsteps or tuple([EMULATED_MICROSTEPS[one] for one in self.axes])
-        pairs = zip(devices, scales, strict=True)
-        return [(*map(int, device.split()), scale) for device, scale in pairs]  # type: ignore[misc]
 
     def machine(self, pose: PlatePose) -> dict[str, float]:
         """The axes' places for the plate at ``pose``: arguments of `Stage.move_to`."""
@@ -595,7 +601,7 @@ _Play = Annotated[float, Field(ge=0, le=5)]
 
 
 class EmulatedStage(Section):
-    """``settings`` by Grbl's number; ``high_mm``: high ends of a Marlin's or Zaber's axes."""
+    """``settings`` by Grbl's number; ``high_mm``: high ends of a Marlin's or FluidNC's axes."""
 
     dialect: Literal["grbl", "grblHAL", "FluidNC"] = "grbl"
     high_mm: tuple[Millimetres, Millimetres, Millimetres, Millimetres] | None = None

@@ -56,7 +56,6 @@ from instruments.operators.prompted import PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.points import PointArm, points_url
 from instruments.stage.driver import Stage as OwnStage
-from instruments.stage.zaber import Motor
 from instruments.world.world import World
 from reports.sanitize import sanitized
 from textfiles.text import plural
@@ -379,9 +378,8 @@ class _BringUp:
     def _stage(self, table: StageTable) -> Stage:
         if plugged := self._driver("stage", table.url):
             return PluggedStage(plugged, self.clock, table.axes)
-        motors = [Motor(*motor) for motor in table.motors]
         link = self._link("stage", table.baud)
-        return OwnStage(link, self.clock, table.axes, dialect=table.dialect, motors=motors)
+        return OwnStage(link, self.clock, table.axes, dialect=table.dialect)
 
     def _cameras(self) -> Cameras:
         rig, clock = self.rig, self.clock

@@ -19,6 +19,7 @@ from bench.rig.loading import LoadedRig
 from bench.toml import toml_text
 from instruments.camera.cameras import KNOWN
 from instruments.clock import Clock, wall_time
+from instruments.drivers.entry_points import plugin_url
 from instruments.stage.emulator.board import StageFault
 from textfiles.whole import replace_whole
 
@@ -175,11 +176,8 @@ def served_text(rig: LoadedRig, urls: Mapping[str, str], note: str) -> str:
     table["name"] += " (of 'teatbench emulate')"
     for name in ("operator", "arm", "bath", "stage"):
         if name in table:
-            table[name]["url"] = urls[name]
-    if rig.rig.stage and rig.rig.stage.dialect == "zaber":
-        motors = rig.rig.stage.motors
-        table["stage"]["zaber_axes"] = [f"{device} {axis}" for device, axis, _ in motors]
-        table["stage"]["microsteps"] = [scale for _, _, scale in motors]
+            plug = plugin_url(table[name]["url"])
+            table[name]["url"] = plug.at(urls[name]) if plug else urls[name]
     if "pump" in urls:
         table["bath"]["pump_url"] = urls["pump"]
     cameras = {name: {"url": urls[name]} for name in ("left", "right", "thermal")}

@@ -45,6 +45,11 @@ class PluginUrl:
     keys: Mapping[str, str] = field(default_factory=dict)
     emulated: bool = False
 
+    def at(self, url: str) -> str:
+        """The URL of its driver for what is served at ``url``."""
+        keys = urlencode({**self.keys, "url": url}, safe=",:/")
+        return f"{PLUGIN}{self.name}?{keys}"
+
 
 def plugin_url(url: str) -> PluginUrl | None:
     """``url`` where it names a plug-in, else None. Raises ValueError without a name, for a key that

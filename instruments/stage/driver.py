@@ -27,9 +27,8 @@ from instruments.stage.connection import ANSWER_S, Dialogue
 from instruments.stage.marlin import MarlinDialogue
 from instruments.stage.protocol import HOME_AGAIN, Position, Status, axis_words
 from instruments.stage.settings import DECLARABLE, StageIdentity, Target, check_within
-from instruments.stage.zaber import Motor, ZaberDialogue
 
-Spoken = Literal["grbl", "marlin", "zaber"]  # "grbl": Grbl, grblHAL or FluidNC, as it says itself
+Spoken = Literal["grbl", "marlin"]  # "grbl": Grbl, grblHAL or FluidNC, as it says itself
 
 POLL_S = 0.2  # the firmware asks for no more than 5 queries a second
 STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't react
@@ -63,7 +62,6 @@ class Stage(StageCalls):
         axes: str = "XY",
         *,
         dialect: Spoken = "grbl",
-        motors: Iterable[Motor] = (),
     ) -> None:
         if axes not in DECLARABLE:
             hint = f"Declare {', '.join(DECLARABLE)}."
@@ -76,8 +74,6 @@ class Stage(StageCalls):
                 self._dialogue = Dialogue(link, clock)
             case "marlin":
                 self._dialogue = MarlinDialogue(link, clock)
-            case "zaber":
-                self._dialogue = ZaberDialogue(link, clock, motors)
         self._homed_at: int | None = None  # the count of upsets when homing succeeded
         self._move: Move | None = None
 

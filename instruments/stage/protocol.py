@@ -127,18 +127,6 @@ class MarlinPosition:
     steps: Mapping[str, float]
 
 
-class Reply(NamedTuple):
-    """Zaber's answer: device, axis, id, ``OK`` or ``RJ``, ``IDLE`` or ``BUSY``, flag, data."""
-
-    device: int
-    axis: int
-    number: int | None
-    taken: bool
-    busy: bool
-    flag: str
-    data: str
-
-
 Response = (
     Ok
     | ErrorReply
@@ -149,7 +137,6 @@ Response = (
     | Message
     | MalformedLine
     | MarlinPosition
-    | Reply
 )
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")

@@ -99,7 +99,7 @@ _CLASSIC_PASSES = ((2,), (0, 1))
 
 class Store:
     """Settings by number for 3 ``axes``, or 4 with A; ``high_mm``: high ends where machine
-    coordinates begin at the low ones. Raises ValueError for unknown numbers.
+    coordinates begin at the low ones, or are configured. Raises ValueError for unknown numbers.
     """
 
     def __init__(
@@ -164,6 +164,8 @@ class Store:
     @property
     def origin_mm(self) -> Vector:
         """Machine coordinates less the carriage's, which are 0 at the high end of its rails."""
+        if self.dialect.configured:
+            return self._high_mm or (0.0,) * self.axes
         if not self.dialect.from_low_end:
             return (0.0,) * self.axes
         return self._high_mm or tuple([travel - self._values[27] for travel in self.travel_mm])
@@ -215,9 +217,9 @@ class Store:
         return tuple([round(place * n) / n if n else now for place, n, now in axes])
 
     def beyond_travel(self, target_mm: Vector) -> bool:
-        """Whether a target lies outside machine space, which is negative."""
-        pairs = zip(target_mm, self.travel_mm, strict=True)
-        return any(not -travel <= place <= 0 for place, travel in pairs)
+        """Whether a target lies outside machine space, which ends at the high ends."""
+        ends = zip(target_mm, self.travel_mm, self.origin_mm, strict=True)
+        return any(not high - travel <= place <= high for place, travel, high in ends)
 
     def _axes(self, first: int) -> Vector:
         values = self._values
@@ -240,7 +242,7 @@ class Store:
             "max_travel_mm": f"{self._values[130 + axis]:.3f}",
             "soft_limits": "true" if self._values[20] else "false",
             "homing/cycle": str(cycle if self._values[22] else 0),
-            "homing/mpos_mm": f"{self.switch_mm(axis):.3f}",
+            "homing/mpos_mm": f"{self.origin_mm[axis] + self.switch_mm(axis):.3f}",
             "homing/positive_direction": "false" if low else "true",
             "homing/seek_mm_per_min": f"{self._values[25]:.3f}",
             "homing/feed_mm_per_min": f"{self._values[24]:.3f}",
