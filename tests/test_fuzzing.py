@@ -52,7 +52,7 @@ from instruments.operators.mailbox import (
 )
 from instruments.operators.operator import OperatorEnough
 from instruments.operators.remote import read_line
-from instruments.stage import marlin, zaber
+from instruments.stage import marlin
 from instruments.stage import protocol as grbl
 from tests.conftest import ROOT
 from tests.examples import examples
@@ -284,7 +284,7 @@ MASTER = bytes.fromhex("000100000006010300000004") + bytes.fromhex(
 SLAVE = modbus.framed(1, bytes.fromhex("03080001000200030004"))
 NAMES = (
     *("microscribe packets", "microscribe blocks", "grbl", "grblhal", "marlin", "marlin settings"),
-    *("zaber", "modbus requests", "modbus answers", "modbus in captures", "bath rows"),
+    *("modbus requests", "modbus answers", "modbus in captures", "bath rows"),
     *("bath lines", "pixels", "capture", "prompt", "answer", "remote operator", "ready"),
     *("detection", "png", "tiff", "mjpeg", "mpeg4"),
 )
@@ -321,7 +321,6 @@ def codecs(folder: Path) -> dict[str, Codec]:
         Codec(stage(grbl.parse), spoken("fluidnc")),
         Codec(stage(marlin.parse), marlins),
         Codec(marlin_settings, (stored,), (InstrumentError,)),
-        Codec(stage(zaber.parse), spoken("zaber")),
         Codec(modbus_server, (MASTER, MASTER[12:])),
         Codec(modbus_answers, (SLAVE, b"\0\1\0\0\0\x0b\1" + SLAVE[1:-2])),
         Codec(lambda data: list(_ids(data)), (MASTER,)),

@@ -175,12 +175,17 @@ class Stage(Section):
     @classmethod
     def _zaber_is_a_plugin(cls, table: Any) -> Any:
         """``dialect = "zaber"`` with its two keys, as rig files had it, is that plug-in's URL."""
-        if not isinstance(table, dict) or table.get("dialect") != "zaber":
+        if not isinstance(table, dict):
             return table
+        # what comes from here is no JSON any more, in which a list is a tuple
+        kept = {key: tuple(one) if isinstance(one, list) else one for key, one in table.items()}
+        if kept.get("dialect") != "zaber":
+            return kept
+        del kept["dialect"]
         axes, emulated = str(table.get("axes", "XY")), table.get("url") == EMULATED
-        devices = table.get("zaber_axes") or [1 + "XYZA".find(axis) for axis in axes]
+        devices = kept.pop("zaber_axes", ()) or [1 + "XYZA".find(axis) for axis in axes]
         usual = [100 if axis == "A" else 250 for axis in axes] if emulated else []
-        microsteps = table.get("microsteps") or usual
+        microsteps = kept.pop("microsteps", ()) or usual
         if not len(devices) == len(microsteps) == len(axes):
             raise ValueError(
                 f"a Zaber stage {axes} needs {len(axes)} devices and {len(axes)} microsteps"
@@ -192,11 +197,6 @@ class Stage(Section):
         }
         if not emulated:
             keys |= {"url": str(table.get("url")), "baud": str(table.get("baud", 115200))}
-        kept = {  # no JSON any more, in which a list is a tuple
-            key: tuple(value) if isinstance(value, list) else value
-            for key, value in table.items()
-            if key not in ("dialect", "zaber_axes", "microsteps")
-        }
         place = "emulator" if emulated else "plugin"
         return kept | {"url": f"{place}:zaber?{urlencode(keys, safe=',:/')}"}
 

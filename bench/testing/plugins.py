@@ -372,13 +372,14 @@ def drivers() -> dict[str, str]:
 
 def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[..., Any] | None]:
     """Its kind, itself, its emulator if no key names a device. Raises LimitError, ValueError."""
-    url = cast(PluginUrl, plugs.plugin_url("plugin:" + driver.removeprefix("plugin:")))
+    named = driver.startswith((plugs.PLUGIN, plugs.EMULATOR))
+    url = cast(PluginUrl, plugs.plugin_url(driver if named else plugs.PLUGIN + driver))
     kinds = [one for one in plugs.KINDS if url.name in available(plugs.GROUPS[one])]
     if len(kinds := [one for one in kinds if kind in (None, one)]) != 1:
         many = f"several: name one by `kind` ({', '.join(kinds)})"
         none = "none is installed. 'teatbench plugin' lists them"
         raise ValueError(f"the driver {driver!r}: {many if kinds else none}")
-    emulated = not url.keys and url.name in available(plugs.EMULATORS[kinds[0]])
+    emulated = (url.emulated or not url.keys) and url.name in available(plugs.EMULATORS[kinds[0]])
     emulator = load(kinds[0], url, emulator=True).make if emulated else None
     return kinds[0], load(kinds[0], url), emulator
 
@@ -392,9 +393,10 @@ def check_driver(
     clock: Clock | None = None,
 ) -> Iterator[Finding]:
     """Each check on a driver: ``NAME`` or ``plugin:NAME?key=value`` of another package, on its
-    emulator where that has one and no key names a device; or a class of yours of this ``kind``
-    (`functools.partial` gives it keys), with its ``emulator``. ``works``: a device may heat and
-    move; ``clock``: a virtual one is for emulators, real time for None. Raises ConfigError.
+    emulator where that has one and no key names a device, or ``emulator:NAME?key=value``; or a
+    class of yours of this ``kind`` (`functools.partial` gives it keys), with its ``emulator``.
+    ``works``: a device may heat and move; ``clock``: a virtual one is for emulators, real time for
+    None. Raises ConfigError.
     """
     with ExitStack() as stack:
         now = clock or stack.enter_context(closing(RealClock()))

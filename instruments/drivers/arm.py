@@ -57,7 +57,7 @@ class PluggedArm(Plugged):
 
     @property
     def homed(self) -> bool:
-        return bool(self._homed_at) and self._homed_at == self._border.opened
+        return bool(self._homed_at) and self._homed_at == self._border.link
 
     @property
     def live(self) -> bool:
@@ -91,7 +91,7 @@ class PluggedArm(Plugged):
     def confirm_homed(self) -> None:
         """A person says that it is referenced."""
         _ = self.identity
-        self._homed_at = self._border.opened
+        self._homed_at = self._border.link
 
     home = confirm_homed
 

@@ -31,7 +31,7 @@ class PluginBoundary(Generic[Made]):
         self._made: Made | None = None
         self.locked = threading.RLock()  # so that several calls aren't parted
         self._owner = threading.local()
-        self.opened = 0
+        self._opened = 0
         self.look = f"Look at the device, then at its driver: {plugged}."
 
     def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
@@ -49,8 +49,13 @@ class PluginBoundary(Generic[Made]):
         with self.locked:
             if self._made is None:
                 self._made = self._within("open", lambda: self.plugged.make(self.clock), OPEN_S)
-                self.opened += 1
+                self._opened += 1
             return self._made
+
+    @property
+    def link(self) -> int:
+        """The number of the opening that is used; 0 where it was closed or lost."""
+        return self._opened if self._made is not None else 0
 
     def aside(self, what: str, work: Callable[[Made], T]) -> T:
         """``work`` at once, beside a call that is under way. Raises InstrumentError alone."""

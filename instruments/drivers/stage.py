@@ -88,7 +88,7 @@ class PluggedStage(Plugged, StageCalls):
     @property
     def homed(self) -> bool:
         """Whether it was homed, without a broken link or a fault since."""
-        return bool(self._homed_at) and self._homed_at == self._border.opened
+        return bool(self._homed_at) and self._homed_at == self._border.link
 
     def status(self) -> Status:
         """Its own report, now. Raises DeviceError for a fault."""
@@ -109,7 +109,7 @@ class PluggedStage(Plugged, StageCalls):
         state = self._until_still(self._clock.now() + HOMING_S, "homing takes too long")
         if not state.homed:
             raise DeviceError(self.who, "it is not homed after homing", hint=self._border.look)
-        self._homed_at, self.moves = self._border.opened, False
+        self._homed_at, self.moves = self._border.link, False
 
     def cancel_jog(self) -> None:
         """End a jog early and wait for a stand. Nothing without a jog."""
@@ -123,6 +123,9 @@ class PluggedStage(Plugged, StageCalls):
             raise LimitError(self.who, "no move is under way", hint="Call begin_move().")
         state = self._until_still(move.deadline_s, "the move takes too long")
         self._move, self.moves = None, False
+        if not self.homed:
+            what = "the move was interrupted: it is not homed any more"
+            raise DeviceError(self.who, what, hint=f"Home it again. {self._border.look}")
         here = self._places(state)
         for axis, wanted in move.target.items():
             if not abs(here[axis] - wanted) <= TOLERANCE_MM:
@@ -173,10 +176,10 @@ class PluggedStage(Plugged, StageCalls):
 
     def _go(self, target: Target, feed_mm_min: float | None, *, jog: bool) -> None:
         asked = ", ".join(f"{axis} {value:g}" for axis, value in target.items())
-        if not self.homed:
-            raise LimitError(self.who, "no move before homing", asked=asked, hint="Home it first.")
         check_within(target, self.settings, asked, who=self.who)
         state = self._state()
+        if not self.homed:  # as it says now
+            raise LimitError(self.who, "no move before homing", asked=asked, hint="Home it first.")
         if state.moving or self._move:
             what, hint = "a move is still under way", "Call finish_move(), or stop()."
             raise LimitError(self.who, what, asked=asked, hint=hint)

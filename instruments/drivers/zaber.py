@@ -26,7 +26,7 @@ except ImportError as error:
 
 SPEED = 1.6384  # the unit of speeds: microsteps a second times this
 OWN_SPEEDS = (7, 25)  # the firmware from which a move may have a speed of its own
-ANSWER_MS = 4000  # within which a device has to answer
+ANSWER_MS = 2000  # within which a device has to answer
 # flags that leave the position as it is: none, manual control, interrupted, stream, value, joystick
 HARMLESS = frozenset({"--", "NC", "NI", "ND", "NR", "NT", "NU", "NJ"})
 UNHOMED = frozenset({WarningFlags.NO_REFERENCE_POSITION, WarningFlags.DEVICE_NOT_HOMED})
@@ -144,9 +144,9 @@ class ZaberStage:
                 axis.move_absolute(there, Units.NATIVE, wait_until_idle=False, velocity=own)
 
     def stop(self) -> None:
-        """Of all devices on the chain."""
+        """Of all devices on the chain, by one message without waiting for their answers."""
         with self._errors("stop"):
-            self._connection.stop_all(wait_until_idle=False)
+            self._connection.generic_command_no_response("stop")
 
     def close(self) -> None:
         self._connection.close()

@@ -128,15 +128,7 @@ class MarlinPosition:
 
 
 Response = (
-    Ok
-    | ErrorReply
-    | Alarm
-    | Status
-    | Setting
-    | Welcome
-    | Message
-    | MalformedLine
-    | MarlinPosition
+    Ok | ErrorReply | Alarm | Status | Setting | Welcome | Message | MalformedLine | MarlinPosition
 )
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")

@@ -37,8 +37,7 @@ from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.protocol import State
 from instruments.stage.driver import Spoken, Stage
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import CLASSIC, MARLIN, ZABER, Dialect
-from instruments.stage.zaber import Motor
+from instruments.stage.emulator.store import CLASSIC, MARLIN, Dialect
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import load_register_profile
 from tests.instruments.camera.small_world import GalleryWorld
@@ -121,10 +120,7 @@ class Table(Wired):
         super().__init__(clock, self.emulator, "stage", late_s=0.2)
 
     def open(self) -> None:
-        motors = [Motor(device, 1, 250.0) for device in (1, 2, 3)]
-        self.driver = Stage(
-            self.link("stage"), self.clock, "XYZ", dialect=self.spoken, motors=motors
-        )
+        self.driver = Stage(self.link("stage"), self.clock, "XYZ", dialect=self.spoken)
 
     def identify(self) -> str:
         return str(self.driver.connect())
@@ -153,10 +149,6 @@ class Table(Wired):
 
 class MarlinTable(Table):
     firmware, spoken, place_mm = MARLIN, "marlin", 200.0
-
-
-class ZaberTable(Table):
-    firmware, spoken, place_mm = ZABER, "zaber", 200.0
 
 
 class Cameras(Subject):
@@ -230,7 +222,7 @@ class Cameras(Subject):
 
 
 KINDS = {
-    "arm": Arm, "bath": WaterBath, "stage": Table, "Marlin": MarlinTable, "Zaber": ZaberTable,
+    "arm": Arm, "bath": WaterBath, "stage": Table, "Marlin": MarlinTable,
     "cameras": Cameras,
 }  # fmt: skip
 

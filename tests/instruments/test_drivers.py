@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -26,6 +26,7 @@ from bench.testing.plugins import check_driver, drivers
 from detector.calibration import load_part
 from instruments.clock import RealClock, VirtualClock
 from instruments.drivers import border
+from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.entry_points import (
     Kind,
@@ -35,7 +36,9 @@ from instruments.drivers.entry_points import (
     load,
     plugin_url,
 )
-from instruments.errors import InstrumentError, LimitError, LinkError
+from instruments.drivers.plugin import ArmPoint, StageState
+from instruments.drivers.stage import PluggedStage
+from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.listener import Listener
 from instruments.world.world import World
 from tests.bench.commands import Said
@@ -323,3 +326,95 @@ def test_a_makers_calibration_becomes_the_cameras_part(
     assert "has no calibration of their maker" in none
     assert "give either" in said(2, "calibrate import --out again.toml").err
     assert "Name it with --format" in said(2, "calibrate import a.yml --out again.toml").err
+
+
+class Carrier:
+    """A stage in memory that homes at once; ``state`` is what it says of its homing."""
+
+    axes, feed_mm_min, limits = "XY", 600.0, {"X": (0.0, 50.0), "Y": (0.0, 50.0)}
+    identity: ClassVar = {"serial_number": "1"}
+    homed, lost = True, False
+    moves: ClassVar[list[float]] = []
+
+    def __init__(self, _: object) -> None:
+        self.place = {"X": 0.0, "Y": 0.0}
+
+    def read(self) -> StageState:
+        if Carrier.lost:
+            raise LinkError("carrier", "no answer")
+        return StageState(dict(self.place), False, Carrier.homed)
+
+    def home(self) -> None:
+        Carrier.homed = True
+
+    def move(self, place: dict[str, float], _: float) -> None:
+        Carrier.moves.append(place["X"])
+        self.place = place
+
+    def stop(self) -> None: ...
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def carrier(monkeypatch: pytest.MonkeyPatch) -> PluggedStage:
+    for name, value in (("homed", True), ("lost", False), ("moves", [])):
+        monkeypatch.setattr(Carrier, name, value)
+    stage = PluggedStage(Plugin("carrier", "here", Carrier), VirtualClock(), "XY")
+    stage.connect()
+    stage.home()
+    return stage
+
+
+def test_a_stage_that_says_that_it_is_not_homed_any_more_is_not_moved(
+    carrier: PluggedStage,
+) -> None:
+    carrier.move_to(1.0, 1.0)
+    Carrier.homed = False  # its power dipped, and nobody asked it since
+    with pytest.raises(LimitError, match="no move before homing"):
+        carrier.move_to(2.0, 1.0)
+    with pytest.raises(LimitError, match="no move before homing"):
+        carrier.jog(x_mm=1.0)
+    carrier.home()
+    carrier.begin_move(3.0, 1.0)
+    Carrier.homed = False
+    with pytest.raises(DeviceError, match="interrupted: it is not homed any more"):
+        carrier.finish_move()
+    assert Carrier.moves == [1.0, 3.0]
+
+
+def test_what_lost_its_link_is_not_homed_before_it_is_opened_again(carrier: PluggedStage) -> None:
+    Carrier.lost = True
+    with pytest.raises(LinkError):
+        carrier.position()
+    assert not carrier.homed
+    Carrier.lost = False
+    with pytest.raises(LimitError, match="no move before homing"):
+        carrier.move_to(2.0, 1.0)
+    assert Carrier.moves == []
+
+
+def test_an_arm_that_lost_its_link_has_no_position_before_it_is_referenced_again() -> None:
+    class Tip:
+        homing, touches, identity = "Put it into its holder.", False, {"serial_number": "1"}
+        lost = False
+
+        def __init__(self, _: object) -> None: ...
+
+        def read(self) -> ArmPoint:
+            if Tip.lost:
+                raise LinkError("tip", "no answer")
+            return ArmPoint(np.zeros(3))
+
+        def close(self) -> None: ...
+
+    arm = PluggedArm(Plugin("tip", "here", Tip), VirtualClock())
+    arm.sign_on()
+    arm.confirm_homed()
+    assert arm.read(n=8).spread_mm == 0.0
+    Tip.lost = True
+    with pytest.raises(LinkError):
+        arm.read()
+    Tip.lost = False
+    assert not arm.homed
+    with pytest.raises(LimitError, match="no position before homing"):
+        arm.read()

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
-import re
 import runpy
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,10 +22,8 @@ from instruments.clock import VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Kind, Plugin
-from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, LimitError, LinkError
 from tests.conftest import ROOT
-from tests.instruments.stage.test_stage_witnesses import QUICK
 
 Drivers = Callable[..., Plugin]
 
@@ -329,152 +323,3 @@ def test_an_arm_that_touches_by_itself_over_rtde(driver: Drivers) -> None:
     robot.linked = False
     with pytest.raises(LinkError, match="the link is lost"):
         arm.read()
-
-
-class ZaberAxis:
-    """A device and its axis, at once where it goes."""
-
-    device_address, place, flags = 1, 0, {"WR"}
-
-    def __init__(self) -> None:
-        self.device = self.settings = self.warnings = self
-        self.figures = {"limit.min": 0.0, "limit.max": 75_000.0, "maxspeed": 40_960.0}
-        self.get = self.figures.__getitem__
-        self.get_flags, self.get_axis = lambda: self.flags, lambda _: self
-        self.error: Exception | None = None
-
-    def generic_command(self, _: str) -> Any:
-        if self.error:
-            raise self.error
-        return SimpleNamespace(data=str(self.place), status="IDLE")
-
-    def home(self, *, wait_until_idle: bool) -> None:
-        self.place, self.flags = 0, set()
-
-    def move_absolute(self, place: int, *_: object, velocity: int, **more: object) -> None:
-        self.place, self.figures["velocity"] = place, velocity
-
-
-class ZaberError(Exception):
-    """The stand-ins' own."""
-
-    message = "as its library says"
-
-
-def test_a_stage_over_zaber_motion(driver: Drivers) -> None:
-    axes = [ZaberAxis(), ZaberAxis()]
-    chain = SimpleNamespace(get_device=lambda number: axes[number - 1], close=lambda: None)
-    chain.stop_all = lambda wait_until_idle: None
-    opened = SimpleNamespace(open_serial_port=lambda _: chain)
-    names = ("ConnectionClosed", "ConnectionFailed", "RequestTimeout", "SerialPortBusy", "BadData")
-    kinds = {f"{one}Exception": type(one, (ZaberError,), {}) for one in names}
-    errors = SimpleNamespace(MotionLibException=ZaberError, **kinds)
-    modules = {
-        "zaber_motion": {"Units": SimpleNamespace(NATIVE=""), "exceptions": errors},
-        "zaber_motion.ascii": {"Connection": opened},
-    }
-    keys = {"url": "COM5", "devices": "1,2.1", "microsteps": "250,500"}
-    plugged = driver("zaber_stage.py", "ZaberStage", modules, **keys)
-    passes("stage", plugged)
-    stage = PluggedStage(plugged, VirtualClock(), "XY")
-    stage.connect()
-    assert stage.limits["Y"].high_mm == 150.0
-    axes[1].flags = {"WH"}
-    with pytest.raises(LimitError, match="before homing"):
-        stage.move_to(10.0, 20.0)
-    stage.home()
-    stage.move_to(10.0, 20.0, feed_mm_min=600.0)
-    assert [one.place for one in axes] == [2500, 10_000]
-    assert [one.figures["velocity"] for one in axes] == [round(2500 * 1.6384), 8192]
-    axes[0].flags = {"FS"}
-    with pytest.raises(DeviceError, match="flags FS"):
-        stage.position()
-    axes[0].flags, axes[0].error = set(), kinds["RequestTimeoutException"]()
-    with pytest.raises(LinkError, match="as its library says"):
-        stage.position()
-    with pytest.raises(LimitError, match="2 devices and 1 microsteps"):
-        PluggedStage(plugged.with_keys(microsteps="250"), VirtualClock(), "XY").connect()
-
-
-# in a process of its own: the library's threads go on after its connections are closed
-ON_OUR_EMULATOR = """
-import json, sys, threading
-from bench.testing.conformance import conform
-from bench.testing.plugins import OnEmulator
-from instruments.clock import RealClock, VirtualClock, stopwatch_s
-from instruments.drivers.entry_points import Plugin
-from instruments.drivers.stage import PluggedStage
-from instruments.errors import InstrumentError
-from instruments.listener import Listener
-from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import ZABER
-from zaber_stage import ZaberStage
-
-keys, settings, clock = *map(json.loads, sys.argv[1:]), RealClock()
-settings = {int(number): value for number, value in settings.items()}
-device = lambda: StageEmulator(clock, settings=settings, dialect=ZABER)
-stage = Plugin("zaber", "this program", ZaberStage, keys)
-for found in conform(lambda: OnEmulator("stage", stage, clock, device())):
-    print(found.outcome, found.why)
-board = device()
-listener = Listener(board, clock, lock=threading.RLock(), name="stage")
-stage = stage.with_keys(url=listener.url)
-one = PluggedStage(stage, clock, "XY")
-one.connect()
-print([round(ends.high_mm) for ends in one.limits.values()])
-def refused(act):
-    try:
-        act()
-    except InstrumentError as error:
-        print(type(error).__name__, error)
-refused(lambda: one.move_to(10.0, 20.0))
-one.home()
-one.move_to(10.0, 20.0, feed_mm_min=6000.0)
-print([round(float(at), 2) for at in board.position_mm()])
-board._controller._flags[1].add("FS")
-refused(one.position)
-one.close()
-refused(PluggedStage(stage.with_keys(microsteps="250"), clock, "XY").connect)
-listener.close()
-clock.close()
-
-def in_virtual_time():
-    global clock
-    clock = VirtualClock()
-    board = device()
-    listener = Listener(board, clock, lock=threading.RLock(), name="stage")
-    one = PluggedStage(stage.with_keys(url=listener.url), clock, "XY")
-    one.connect()
-    one.home()
-    for x_mm in (50.0, 1.0) * 6:  # at 10 mm/s
-        one.move_to(x_mm, 20.0, feed_mm_min=600.0)
-    one.close()
-    listener.close()
-    return clock.now(), board.position_mm().tolist()
-
-began_s = stopwatch_s()
-first, second = in_virtual_time(), in_virtual_time()
-print(first == second, round(first[0]), stopwatch_s() - began_s < first[0])
-"""
-SAID = r"""\[59, 59\]
-LimitError .* no move before homing .*
-\[10.0, 20.0, .*\]
-DeviceError .* warning flags FS.*
-LimitError .* 2 devices and 1 microsteps .*
-True 6\d True"""
-
-
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_the_zaber_example_passes_on_our_emulator() -> None:
-    pytest.importorskip("zaber_motion", reason="the maker's library is not installed")
-    keys = {"devices": "1,2", "microsteps": "250,250"}
-    path = os.pathsep.join([str(ROOT / "docs" / "examples"), str(ROOT)])
-    ended = subprocess.run(
-        [sys.executable, "-c", ON_OUR_EMULATOR, *map(json.dumps, (keys, QUICK))],
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-    )
-    wanted = "passed \n" * len(CHECKS) + SAID
-    assert re.fullmatch(wanted, ended.stdout.strip()), ended.stdout + ended.stderr

@@ -29,6 +29,4 @@ class EmulatedZaber(StageEmulator):
             raise LimitError("emulated Zaber", what, asked=devices, hint="Correct devices.")
         steps = zip(numbers, map(float, microsteps.split(",")), strict=True)
         settings = SETTINGS | {99 + number: each for number, each in steps}
-        super().__init__(
-            clock, settings=settings, dialect=ZABER, axes=4 if "A" in axes else 3
-        )
+        super().__init__(clock, settings=settings, dialect=ZABER, axes=4 if "A" in axes else 3)

@@ -18,6 +18,7 @@ _MOVE = re.compile(r"move (?:(min|max)|(?:(abs|rel) (-?\d+)))(?: (\d+))?")
 ORDER = ("FE", "FS", "WL", "WM", "WR", "WH", "NI")
 SPEED = 1.6384
 VERSION, SERIAL = "7.38", 65000
+OWN_SPEEDS = (7, 25)  # the firmware from which a move may have one
 DEVICE_ID = 99_999  # of no product: what this emulates is in no data base of the maker's
 
 
@@ -115,12 +116,14 @@ class ZaberController(Controller):
     def _move(
         self, at: int, end: str | None, way: str | None, by: str | None, speed: str | None
     ) -> tuple[bool, str]:
-        """To an end, or so many microsteps; a speed of its own is known from 7.25 on."""
+        """To an end, or so many microsteps, perhaps at a speed of its own."""
         if at in self._parked:
             return False, "PARKED"
         (low, high), steps, target = self._ends(at), self.settings[100 + at], [*self.target_mm()]
         starts = {"abs": 0, "rel": round(target[at] * steps), "min": low, "max": high}
         place, pace = starts[end or way or ""] + int(by or 0), int(speed or self._maxspeed[at])
+        if speed and tuple(map(int, VERSION.split("."))) < OWN_SPEEDS:
+            return False, "BADDATA"
         if not (low <= place <= high and pace > 0):
             return False, "BADDATA"
         target[at] = place / steps

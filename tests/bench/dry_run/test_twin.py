@@ -88,7 +88,7 @@ def test_the_emulated_stage_is_set_as_the_controller_reported(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("dialect", "axes", "spoken"),
-    [("grbl", "XY", "marlin"), ("grbl", "XYA", "zaber"), ("marlin", "XYZ", "marlin")],
+    [("grbl", "XY", "fluidnc"), ("grbl", "XYA", "fluidnc"), ("marlin", "XYZ", "marlin")],
 )
 def test_an_emulated_stage_has_the_machine_space_of_the_real_one(
     lab: LoadedRig, tmp_path: Path, dialect: str, axes: str, spoken: str

@@ -15,7 +15,6 @@ import pytest
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, load_rig
-from bench.rig.model import Stage as StageTable
 from bench.rig.opening import open_instruments
 from instruments.clock import VirtualClock
 from instruments.drivers.protocols import Stage
@@ -48,11 +47,6 @@ NOT_EMULATED = (
     *('dialect = "marlin"', "scale_errors = [0.5, 0, 0, 0]", "backlash_mm = [-1, 0, 0]"),
     *("squareness = 1", "yaw_rad = nan"),
 )
-TURNING = """dialect = "zaber"
-axes = "XYA"
-microsteps = [20000.0, 20000.0, 500.0]
-reference_mm = [150.0, 137.5]
-reference_a_deg = 90.0"""
 
 
 @pytest.mark.parametrize(
@@ -61,8 +55,6 @@ reference_a_deg = 90.0"""
         ('axes = "XYZA"', '[emulation.stage]\ndialect = "grblHAL"', "grblHAL"),
         ("", '[emulation.stage]\ndialect = "FluidNC"', "FluidNC"),
         ('dialect = "marlin"\nreference_mm = [150.0, 137.5]', "", "Marlin"),
-        (TURNING, "", "Zaber"),
-        (TURNING.replace("microsteps", "# microsteps"), "", "Zaber"),
     ],
 )
 def test_the_plate_stands_as_any_firmware_says(
@@ -85,8 +77,8 @@ def test_the_plate_stands_as_any_firmware_says(
     [
         ('dialect = "smoothie"', "", "dialect"),
         ('dialect = "marlin"\naxes = "XYA"', "", "a Marlin stage is driven in X, Y and Z"),
-        ('dialect = "marlin"\nmicrosteps = [1.0, 1.0]', "", "go with dialect"),
-        ('dialect = "zaber"\nzaber_axes = ["1"]', "", "zaber_axes"),
+        ('dialect = "marlin"\nmicrosteps = [1.0, 1.0]', "", "microsteps"),
+        ('dialect = "zaber"\nzaber_axes = ["1"]', "", "a Zaber stage XY needs 2 devices"),
         ('axes = "XYA"', "", r'stage\.axes: the firmware "grbl" has no axis A: set dialect = "grb'),
         *(("", f"[emulation.stage]\n{line}", r"emulation\.stage\.") for line in NOT_EMULATED),
     ],
@@ -96,14 +88,6 @@ def test_a_stage_that_can_not_be_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=why):
         rig_with(tmp_path, stage, emulation)
-
-
-def test_a_real_zaber_stage_needs_its_motors() -> None:
-    table = {"url": "COM5", "dialect": "zaber", "zaber_axes": ("1 1", "2 1")}
-    with pytest.raises(ValueError, match="a Zaber stage XY needs 2 microsteps"):
-        StageTable.model_validate(table)
-    known = StageTable.model_validate(table | {"microsteps": (20997.4, 20997.4)})
-    assert known.motors == [(1, 1, 20997.4), (2, 1, 20997.4)]
 
 
 def test_play_depends_on_the_side_from_which_a_place_is_reached(tmp_path: Path) -> None:

@@ -16,13 +16,11 @@ from instruments.link import Link
 from instruments.listener import Listener
 from instruments.stage.driver import Spoken, Stage
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import CLASSIC, MARLIN, ZABER, Dialect
-from instruments.stage.zaber import Motor
+from instruments.stage.emulator.store import CLASSIC, MARLIN, Dialect
 from tests.waiting import PATIENCE_S, within
 
 pytestmark = pytest.mark.slow
 
-MOTORS = ((1, 1, 250.0), (2, 1, 250.0))
 # 60 mm, quickly
 FAST = {24: 6000.0, 25: 12_000.0} | dict.fromkeys((110, 111, 112), 12_000.0)
 FAST |= dict.fromkeys((120, 121, 122), 2000.0) | dict.fromkeys((130, 131, 132), 60.0)
@@ -35,12 +33,9 @@ def stopped(target: StageTarget, clock: RealClock) -> dict[str, object]:
     return stop.result() or {}
 
 
-@pytest.mark.parametrize(
-    ("dialect", "spoken"), [(CLASSIC, "grbl"), (MARLIN, "marlin"), (ZABER, "zaber")]
-)
+@pytest.mark.parametrize(("dialect", "spoken"), [(CLASSIC, "grbl"), (MARLIN, "marlin")])
 @pytest.mark.parametrize("homes", [False, True], ids=["in a move", "while it homes"])
 def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, homes: bool) -> None:
-    motors = MOTORS if spoken == "zaber" else ()
     steps = {100: 250.0, 101: 250.0}
     with closing(RealClock()) as clock:
         device = StageEmulator(clock, settings=steps if homes else FAST | steps, dialect=dialect)
@@ -49,12 +44,12 @@ def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, hom
             closing(Listener(device, clock, lock=lock, name="stage")) as listener,
             closing(Link(listener.url, clock, who="stage")) as link,
         ):
-            stage = Stage(link, clock, "XY", dialect=spoken, motors=map(Motor._make, motors))
+            stage = Stage(link, clock, "XY", dialect=spoken)
             stage.connect()
             owner = threading.Thread(target=_homes if homes else _moves, args=(stage,))
             owner.start()
             within(lambda: _moving(device) and (homes or stage.homed), "moves")
-            target = StageTarget(listener.url, 115200, spoken, "XY", motors)
+            target = StageTarget(listener.url, 115200, spoken, "XY")
             found = stopped(target, clock)
             assert not _moving(device)
             assert found["stands"] is True

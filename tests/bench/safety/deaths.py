@@ -2,7 +2,8 @@
 their own, the bench in another, and a reader here that shares nothing with either. It types the
 bytes of the makers' documents and asks the wire.
 
-A Zaber stage, because opening its port stops nothing: what stands was told to stop.
+A Zaber stage, because opening its port stops nothing: what stands was told to stop. What its host
+sends goes through a relay of this process, which shows when a motion begins.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -32,14 +34,11 @@ from tests.waiting import PATIENCE_S, alive, within
 BASE = (
     (RIGS / "emulated.toml")
     .read_text(encoding="utf-8")
-    .replace("[stage]", '[stage]\ndialect = "zaber"')
-    + """
-[emulation.stage.settings]
-24 = 3000.0
-25 = 6000.0
-110 = 12000.0
-111 = 12000.0
-"""
+    .replace(
+        '[stage]\nurl = "emulator:"',
+        '[stage]\nurl = "emulator:zaber?devices=1,2&microsteps=250,250"\n'
+        "reference_mm = [150.0, 137.5]",
+    )
 )
 
 CAMERAS = """[cameras]
@@ -53,7 +52,44 @@ STARTS = {0: False, 1: True}
 # Zaber ASCII: the state of an axis stands in each reply (maker's manual)
 ASK_STAGE = b"/%d 1 07 get pos\n"
 REPLY = re.compile(rb"@\d\d 1 07 OK (IDLE|BUSY) (\S\S) (-?\d+)")
-BEGUN = {"home": b"home".hex(), "move": b"move abs".hex()}  # in a capture
+BEGUN = {"home": b" home", "move": b" move abs"}
+
+
+class Relay:
+    """A port of this process that leads to ``port``, each connection to one of its own."""
+
+    def __init__(self, port: int) -> None:
+        self._port, self._listening = port, socket.create_server(("127.0.0.1", 0))
+        self.sent = b""  # by all hosts since `forget`
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    @property
+    def port(self) -> int:
+        return int(self._listening.getsockname()[1])
+
+    def forget(self) -> None:
+        self.sent = b""
+
+    def close(self) -> None:
+        self._listening.close()
+
+    def _accept(self) -> None:
+        with suppress(OSError):  # closed
+            while True:
+                host, _ = self._listening.accept()
+                device = socket.create_connection(("127.0.0.1", self._port))
+                for ends in ((host, device, True), (device, host, False)):
+                    threading.Thread(target=self._carry, args=ends, daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket, noted: bool) -> None:
+        with suppress(OSError):
+            while piece := source.recv(4096):
+                self.sent += piece * noted
+                sink.sendall(piece)
+        for end in (source, sink):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
 
 
 @dataclass
@@ -63,6 +99,7 @@ class Elsewhere:
     folder: Path
     said: str = ""
     rig_path: Path = field(init=False)
+    relay: Relay = field(init=False)
 
     def __post_init__(self) -> None:
         self.rig_path = self.folder / "lab.toml"
@@ -125,9 +162,12 @@ def emulators(folder: Path, recording: Path) -> Iterator[Elsewhere]:
                 line = process.stdout.readline()
                 assert line, there.said
                 there.said += line
+            there.relay = Relay(there.port("stage"))
             text, _, _ = written.read_text(encoding="utf-8").partition("[cameras]")
+            text = text.replace(f":{there.port('stage')}", f":{there.relay.port}")
             there.rig_path.write_text(f"{text}{CAMERAS}", encoding="utf-8")
-            yield there
+            with closing(there.relay):
+                yield there
         finally:
             process.kill()
 
@@ -218,12 +258,6 @@ class Dying:
     def until(self, there: Callable[[], bool], what: str) -> None:
         within(there, what, said=lambda: self.said, code=self.process.poll)
 
-    def sent(self, word: str) -> bool:
-        """Whether its capture has a command that begins a motion."""
-        with suppress(OSError):
-            return BEGUN[word] in self.capture.read_text(encoding="utf-8", errors="replace")
-        return False
-
 
 @contextmanager
 def on_a_terminal(
@@ -290,7 +324,7 @@ HEATS, MOVES = "heats", "moves"
 @dataclass(frozen=True)
 class Way:
     """A command with ``{rig}``, ``{capture}`` and ``{out}``; what it does then (``does``) and the
-    motion that its capture begins with; ``script``: a Python program that gets how it ends, or that
+    motion that it begins with; ``script``: a Python program that gets how it ends, or that
     starts a run (``begun``).
     """
 
@@ -342,6 +376,7 @@ def die(there: Elsewhere, name: str, death: str, folder: Path) -> tuple[float, s
     places["end"] = death if death in ENDINGS else "waits"
     words = [word.format(**places) for word in way.words.split()]
     assert not there.heats(), "the last one left it on"
+    there.relay.forget()
     with on_a_terminal(words, capture, script=way.script) as dying:
         if death in ENDINGS:
             dying.process.wait(PATIENCE_S)
@@ -375,5 +410,5 @@ def begun(there: Elsewhere, dying: Dying, way: Way) -> None:
     elif way.does == HEATS:
         dying.until(there.heats, "heated")
     else:
-        dying.until(lambda: dying.sent(way.begun), "moved")
+        dying.until(lambda: BEGUN[way.begun] in there.relay.sent, "moved")
         time.sleep(0.3)  # amid the motion

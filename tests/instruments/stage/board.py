@@ -13,7 +13,6 @@ from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
 from instruments.stage.driver import Spoken, Stage
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.zaber import Motor
 
 GREETING = WELCOME = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCK = b"[MSG:'$H'|'$X' to unlock]\r\n"
@@ -22,13 +21,7 @@ UNLOCKED = b"[MSG:Caution: Unlocked]\r\nok\r\n"
 
 def spoken_by(emulator: StageEmulator) -> Spoken:
     """What its driver has to speak."""
-    name = emulator.dialect.name
-    return cast(Spoken, name.lower() if name in ("Marlin", "Zaber") else "grbl")
-
-
-def motors_of(axes: str) -> list[Motor]:
-    """The emulated Zaber devices of a stage."""
-    return [Motor(1 + "XYZA".index(axis), 1, 100.0 if axis == "A" else 250.0) for axis in axes]
+    return "marlin" if emulator.dialect.name == "Marlin" else "grbl"
 
 
 class Board:
@@ -118,13 +111,7 @@ class Bench:
         self.listener.close()
 
     def plug_in(self) -> Stage:
-        return Stage(
-            self.link(),
-            self.clock,
-            self.axes,
-            dialect=spoken_by(self.emulator),
-            motors=motors_of(self.axes),
-        )
+        return Stage(self.link(), self.clock, self.axes, dialect=spoken_by(self.emulator))
 
     def again(self, *, axes: str | None = None, device: Device | None = None) -> Bench:
         """With a new driver: for other ``axes``, or with ``device`` before the board."""
@@ -161,7 +148,7 @@ def identify(device: Device, axes: str = "XY", dialect: Spoken = "grbl") -> None
     listener = Listener(device, clock, lock=threading.RLock(), name="stage")
     link = Link(listener.url, clock, who="stage")
     try:
-        Stage(link, clock, axes, dialect=dialect, motors=motors_of(axes)).connect()
+        Stage(link, clock, axes, dialect=dialect).connect()
     finally:
         link.close()
         listener.close()

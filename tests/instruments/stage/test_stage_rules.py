@@ -21,8 +21,7 @@ from instruments.errors import InstrumentError, LimitError, LinkError
 from instruments.stage.driver import Stage
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.grbl import GrblController
-from instruments.stage.emulator.store import CLASSIC, FLUIDNC, GRBL_HAL, MARLIN, ZABER, Dialect
-from instruments.stage.emulator.zaber import ZaberController
+from instruments.stage.emulator.store import CLASSIC, FLUIDNC, GRBL_HAL, MARLIN, Dialect
 from tests.examples import examples
 from tests.instruments.stage.board import Bench
 
@@ -40,7 +39,6 @@ BOARDS = [
     *((GRBL_HAL, axes) for axes in ("XYZ", "XYZA", "XYA")),
     (FLUIDNC, "XYZA"),
     *((MARLIN, axes) for axes in ("XY", "XYZ")),
-    *((ZABER, axes) for axes in ("XY", "XYZA")),
 ]
 
 
@@ -224,7 +222,7 @@ class StageRules(RuleBasedStateMachine):
                 assert low <= place <= high
                 # homing looks for a switch farther than the travel, and may find none; these
                 # home an axis after the other
-                one_by_one = isinstance(board, GrblController | ZaberController)
+                one_by_one = isinstance(board, GrblController)
                 if axis in board.homed if one_by_one else board.homed:
                     assert low <= target <= high
 
