@@ -142,12 +142,20 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
                 terminalreporter.write_line(f"{value:8.3f}  {name.removeprefix(begins)}")
 
 
+def _threads() -> set[threading.Thread]:
+    """Those of Python, but those that `zaber_motion` keeps as long as the process."""
+    events = sys.modules.get("zaber_motion.events")
+    kept = events.event_executor._threads if events else set()
+    dummies = {one for one in threading.enumerate() if isinstance(one, threading._DummyThread)}
+    return set(threading.enumerate()) - dummies - kept
+
+
 @pytest.fixture(autouse=True)
 def no_leaked_threads() -> Iterator[None]:
-    before = set(threading.enumerate())
+    before = _threads()
     yield
     deadline = time.monotonic() + PATIENCE_S
-    while (leaked := set(threading.enumerate()) - before) and time.monotonic() < deadline:
+    while (leaked := _threads() - before) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not leaked, f"leaked threads: {[thread.name for thread in leaked]}"
 

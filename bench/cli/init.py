@@ -129,8 +129,9 @@ def _stage(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
             print(f"left out: {found.url}; a Zaber stage needs its microsteps per mm")
             return {}
         _figures("microsteps per mm", scales, "20997.4, 20997.4")
-        keys = {"devices": devices, "microsteps": scales, "axes": axes}
-        plug = PluginUrl("zaber", {key: one.replace(" ", "") for key, one in keys.items()})
+        named = [one.strip().replace(" ", ".") for one in devices.split(",")]
+        keys = {"devices": ",".join(named), "microsteps": scales.replace(" ", ""), "axes": axes}
+        plug = PluginUrl("zaber", keys)
         values["url"] = plug.at(found.url)
     else:
         values["dialect"] = found.dialect

@@ -254,7 +254,7 @@ class GrblController(Controller):
         """A status report, as ``?`` gets it."""
         now, moving, motion = self.now, self.moving, self.carriage.motion
         bits, offset = int(self.settings[10]), self.gcode.offset_mm()
-        place = self.settings.whole_steps(motion.position(now))
+        place = self.settings.whole_steps(self.place_mm())
         jog = self.mode is Mode.READY and self._jogging
         parts = ["Jog" if jog else self.mode.value[moving]]
         if bits & 1:

@@ -118,7 +118,7 @@ class Clock(VirtualClock):
         (
             ZABER,
             ["1 1, 2 1", "2500, 2500", ""],
-            {"dialect": "zaber", "zaber_axes": ("1 1", "2 1"), "microsteps": (2500.0, 2500.0)},
+            {"reference_mm": (150.0, 137.5)},
             b"?IMCBEGN\xc5M15\n/get pos",
         ),
     ],
@@ -149,6 +149,9 @@ def test_stages_of_every_firmware_are_found_by_questions_alone(
             assert rig_of(tmp_path / "b.toml").stage is None
     found = rig_of(out).stage
     assert found
+    if dialect is ZABER:
+        keys = "devices=1.1,2.1&microsteps=2500,2500&axes=XY"
+        assert found.url == f"plugin:zaber?{keys}&url={listener.url}"
     assert {key: getattr(found, key) for key in expected} == expected
     assert f"{listener.url}: stage, {dialect.name}" in text
     assert set(b"".join(sent.values())) <= set(allowed)

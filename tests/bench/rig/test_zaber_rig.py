@@ -24,11 +24,6 @@ zaber_axes = ["1 1", "2 1", "4 1"]
 """
 
 
-@pytest.fixture(autouse=True)
-def no_leaked_threads() -> None:
-    """The library's threads live as long as the process."""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", [FORMER, FORMER.partition("microsteps")[0]])
 def test_the_plate_stands_as_its_devices_say(tmp_path: Path, stage: str) -> None:

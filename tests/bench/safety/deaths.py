@@ -243,7 +243,6 @@ class Dying:
     process: Running
     pid: int
     master: int
-    capture: Path
     pieces: list[bytes] = field(default_factory=list)
 
     @property
@@ -260,9 +259,7 @@ class Dying:
 
 
 @contextmanager
-def on_a_terminal(
-    arguments: Sequence[object], capture: Path, *, script: bool = False
-) -> Iterator[Dying]:
+def on_a_terminal(arguments: Sequence[object], *, script: bool = False) -> Iterator[Dying]:
     """`teatbench` with these arguments, or a Python program."""
     master, slave = os.openpty()
     words = [str(one) for one in arguments]
@@ -285,7 +282,7 @@ def on_a_terminal(
             words, stdin=slave, stdout=slave, stderr=slave, environment=environment, terminal=True
         )
     os.close(slave)
-    dying = Dying(process, process.pid, master, capture)
+    dying = Dying(process, process.pid, master)
     try:
         yield dying
     finally:
@@ -377,7 +374,7 @@ def die(there: Elsewhere, name: str, death: str, folder: Path) -> tuple[float, s
     words = [word.format(**places) for word in way.words.split()]
     assert not there.heats(), "the last one left it on"
     there.relay.forget()
-    with on_a_terminal(words, capture, script=way.script) as dying:
+    with on_a_terminal(words, script=way.script) as dying:
         if death in ENDINGS:
             dying.process.wait(PATIENCE_S)
             assert "@@ under way" in dying.said, dying.said

@@ -101,7 +101,7 @@ def test_what_only_reads_leaves_a_bath_that_somebody_left_on_as_it_is(
             assert "IT STAYS ON: 'teatbench bath standby'" in said(0, "bath set {} 31", at).out
         else:
             given = words("bath watch {}", at)
-            with on_a_terminal(given, tmp_path / "none") as dying:
+            with on_a_terminal(given) as dying:
                 dying.until(lambda: "degC" in dying.said, "read")
                 DEATHS[death](dying)
                 dying.process.wait(PATIENCE_S)
@@ -199,7 +199,7 @@ def test_a_controller_with_a_watchdog_stops_when_bench_and_guardian_are_killed(
         table["unit_confirmed"] = "2026-11-20"  # by a person at its display
         script = tmp_path / "script.py"
         script.write_text(HEATER.format(table=table), encoding="utf-8")
-        with on_a_terminal([script], tmp_path / "none", script=True) as dying:
+        with on_a_terminal([script], script=True) as dying:
             dying.until(lambda: "@@ under way" in dying.said, "began")
             assert plant.running
             (guardian,) = guardians_of(dying.pid)

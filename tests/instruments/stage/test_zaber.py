@@ -61,11 +61,6 @@ class Chain:
         self.listener.close()
 
 
-@pytest.fixture(autouse=True)
-def no_leaked_threads() -> None:
-    """The library's threads live as long as the process."""
-
-
 @pytest.fixture
 def chain() -> Iterator[Chain]:
     with closing(Chain(VirtualClock())) as made:
