@@ -158,8 +158,8 @@ class ZaberStage:
         except zaber.MotionLibException as error:
             who, what = f"Zaber at {self._url}", error.message
             if isinstance(error, LOST):
-                hint = "Check power, cable and baud rate, and the devices' numbers and protocol."
-                raise LinkError(who, what, asked=asked, hint=hint) from error
+                look = "Check power, cable and baud rate, and the devices' numbers and protocol."
+                raise LinkError(who, what, asked=asked, hint=look) from error
             kind = LimitError if isinstance(error, zaber.BadDataException) else DeviceError
             hint = "A parked axis is unparked by homing." if "PARKED" in what else None
             raise kind(who, what, asked=asked, hint=hint) from error
