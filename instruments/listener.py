@@ -249,6 +249,8 @@ class Listener:
             socket.create_connection(self._server.getsockname(), timeout=1.0),
         ):
             pass  # wakes the accepting thread on every system
+        with contextlib.suppress(OSError):  # on Linux also where no more files can be opened
+            self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
         with self._lock:
             connections = list(self._connections)

@@ -312,15 +312,15 @@ def address(instrument: str) -> Callable[[str], str]:
     """Where a "bath" or "stage" is, as in a rig file, but not an emulated one."""
 
     def take(text: str) -> str:
-        from bench.rig.urls import EMULATED, bath_url, serial_url
+        from bench.rig.urls import bath_url, is_emulated, stage_url
 
         try:
-            if text == EMULATED:
+            if is_emulated(text):
                 raise ValueError(
                     f"an emulated {instrument} lives in the bench; 'teatbench emulate' serves one"
                     " at a port"
                 )
-            return bath_url(text) if instrument == "bath" else serial_url(text)
+            return bath_url(text) if instrument == "bath" else stage_url(text)
         except ValueError as error:
             raise argparse.ArgumentTypeError(f"{text!r} is no {instrument}: {error}") from error
 

@@ -230,7 +230,10 @@ def in_own_thread(work: Callable[[], T]) -> T:
             raised.append(error)
         working.release()
 
-    threading.Thread(target=run, name="the end of a run", daemon=True).start()
+    try:
+        threading.Thread(target=run, name="the end of a run", daemon=True).start()
+    except RuntimeError:  # no more threads are to be had; what is raised here may break it off
+        return work()
     while True:
         try:
             if given or raised:

@@ -91,12 +91,11 @@ class PluginBoundary(Generic[Made]):
                     raise self._late(what, limit_s)
                 return given
             thread = threading.Thread(None, self._run, by, (job, work), daemon=True)
-            thread.start()
-            late_s = self.clock.now() + limit_s
-            while thread.is_alive() and (left_s := late_s - self.clock.now()) > 0.0:
-                thread.join(min(left_s, BEAT_S))  # each look at the clock is a heartbeat
-            if thread.is_alive():
-                raise self._late(what, limit_s)
+            try:
+                thread.start()
+            except RuntimeError:  # no more threads are to be had: without a limit, yet done
+                return work()
+            self._wait_for(thread, what, limit_s)
             return job.result()
         except InstrumentError as error:
             self._name(error)
@@ -108,6 +107,13 @@ class PluginBoundary(Generic[Made]):
             if what == "open" and isinstance(error, ValueError):  # a key is no number
                 hint = f"Correct the keys of {self.plugged.url}; they are of {self.plugged}."
             raise kind(self.who, said(error), asked=what, hint=hint) from error
+
+    def _wait_for(self, thread: threading.Thread, what: str, limit_s: float) -> None:
+        late_s = self.clock.now() + limit_s
+        while thread.is_alive() and (left_s := late_s - self.clock.now()) > 0.0:
+            thread.join(min(left_s, BEAT_S))  # each look at the clock is a heartbeat
+        if thread.is_alive():
+            raise self._late(what, limit_s)
 
     def _late(self, what: str, limit_s: float) -> LinkError:
         hint = f"Look at the device, its power and its cable: {self.plugged} hangs."

@@ -8,10 +8,12 @@ port of this machine. The driver gets the port as its key ``url``.
 
 from __future__ import annotations
 
+import builtins
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
@@ -187,14 +189,21 @@ def by_ctrl_c(error: BaseException) -> bool:
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Some libraries change what the whole process has: the working folder, by which files of a run
-    are named, who may read new files, what Ctrl-C does, where modules are found, what is an error
-    to NumPy, and what a thread does with its errors, without which none starts. A copy of the
-    process that one forks ends where it would come back.
+    are named, who may read new files, what Ctrl-C does, where modules are found, what `open` and
+    `time.sleep` are, what is an error to NumPy, and the stack that a thread gets and what it does
+    with its errors, without which none starts. A copy of the process that one forks ends where it
+    would come back.
     """
     given: Any = threading.excepthook, sys.excepthook  # None, by a thread of a driver's
     hooks = given[0] or threading.__excepthook__, given[1] or sys.__excepthook__
     threading.excepthook, sys.excepthook = hooks
-    folder, path = Path(), [*sys.path]
+    folder, path, finders = Path(), [*sys.path], [*sys.meta_path]
+    stack = threading.stack_size(0)
+    threading.stack_size(stack)  # to ask for it sets it
+    calls = [
+        (vars(module), {name: one for name, one in vars(module).items() if callable(one)})
+        for module in (builtins, time)
+    ]
     with suppress(OSError):  # it may be gone
         folder = Path.cwd()
     handlers = {one: signal.getsignal(one) for one in ENDING}
@@ -207,10 +216,14 @@ def undisturbed() -> Iterator[None]:
         if os.getpid() != process:
             os._exit(0)
         os.umask(mask)
+        threading.stack_size(stack)
         threading.excepthook, sys.excepthook = hooks
+        for now, before in calls:
+            now.update(before)
         with suppress(OSError):
             os.chdir(folder)
         sys.path.extend(one for one in path if one not in sys.path)
+        sys.meta_path.extend(one for one in finders if one not in sys.meta_path)
         for one, handler in handlers.items():
             if handler is not None and signal.getsignal(one) is not handler:
                 with suppress(ValueError):  # the main thread alone has them

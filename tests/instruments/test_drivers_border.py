@@ -4,12 +4,14 @@ members gives or raises; and what comes out of it is a value that the bench can 
 
 from __future__ import annotations
 
+import builtins
 import itertools
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from decimal import Decimal
@@ -200,6 +202,9 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
     monkeypatch.setattr(sys, "path", [*path])
     mask = os.umask(0o027)
 
+    def fails(*_: object) -> None:
+        raise RuntimeError("not here")
+
     def odd(_: object) -> None:
         os.chdir(tmp_path)
         os.umask(0o777)
@@ -207,6 +212,9 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         np.seterr(all="raise")
         sys.path.clear()
+        sys.meta_path.clear()
+        threading.stack_size(1 << 40)
+        builtins.open = time.sleep = fails  # type: ignore[assignment]
         raise KeyboardInterrupt("\x1b[31m" + "x" * 999)
 
     made.read = odd  # type: ignore[attr-defined]
@@ -222,7 +230,10 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
 
 
 def _of_the_process() -> tuple[object, ...]:
-    return signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM), np.geterr()
+    stack = threading.stack_size(0)
+    threading.stack_size(stack)
+    handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    return *handlers, np.geterr(), stack, open, time.sleep, [*sys.meta_path]
 
 
 FORKS = """

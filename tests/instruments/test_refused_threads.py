@@ -1,15 +1,28 @@
-"""A system that starts no more threads: what was opened can still be closed."""
+"""A system that starts no more threads, or opens no more files: what was opened can still be
+closed and made safe.
+"""
 
 from __future__ import annotations
 
+import errno
+import sys
 import threading
 from contextlib import closing
+from typing import ClassVar
 
 import pytest
 
-from instruments.clock import VirtualClock
+from bench.safety.signals import in_own_thread
+from instruments.clock import RealClock, VirtualClock
+from instruments.drivers.bath import PluggedBath
+from instruments.drivers.entry_points import Plugin
+from instruments.drivers.plugin import BathState
 from instruments.listener import Listener
 from instruments.stage.emulator.board import StageEmulator
+
+
+def refused(_: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
 
 
 def test_an_emulator_whose_thread_was_refused_can_be_closed(
@@ -18,10 +31,63 @@ def test_an_emulator_whose_thread_was_refused_can_be_closed(
     clock = VirtualClock()
     listener = Listener(StageEmulator(clock), clock, lock=threading.RLock(), name="stage")
     with closing(listener), monkeypatch.context() as patch:
-
-        def refused(_: threading.Thread) -> None:
-            raise RuntimeError("can't start new thread")
-
         patch.setattr(threading.Thread, "start", refused)
         with pytest.raises(RuntimeError, match="can't start"):
             listener._start(lambda: None)
+
+
+class Heater:
+    """A bath in memory."""
+
+    identity: ClassVar = {"serial_number": "1"}
+    range_c, step_k, pump, comms_loss = (15.0, 60.0), 0.1, "none", "hold"
+    running = True
+
+    def __init__(self, _: object) -> None: ...
+
+    def read(self) -> BathState:
+        return BathState(20.0, Heater.running, 30.0)
+
+    def start(self, _: float) -> None: ...
+
+    def standby(self) -> None:
+        Heater.running = False
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("stack", [0, 1 << 40], ids=["refused", "of a stack that is too large"])
+def test_a_bath_is_made_safe_where_no_thread_starts(
+    monkeypatch: pytest.MonkeyPatch, stack: int
+) -> None:
+    """By calls in real time, and by the end of a run in whose thread another raises."""
+    monkeypatch.setattr(Heater, "running", True)
+    with closing(RealClock()) as clock, monkeypatch.context() as patch:
+        bath = PluggedBath(Plugin("heater", "here", Heater), clock)
+        before = threading.stack_size(stack)
+        if not stack:
+            patch.setattr(threading.Thread, "start", refused)
+        try:
+            with pytest.raises(RuntimeError, match="can't start"):
+                threading.Thread(target=bath.read).start()
+            bath.safe()
+            assert in_own_thread(lambda: Heater.running) is False
+            bath.close()
+        finally:
+            threading.stack_size(before)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it is woken by a connection alone")
+def test_an_emulator_can_be_closed_where_no_more_files_are_opened(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = VirtualClock()
+    listener = Listener(StageEmulator(clock), clock, lock=threading.RLock(), name="stage")
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("socket.create_connection", full)
+        listener.close()
+    assert not any(thread.is_alive() for thread in listener._threads)
