@@ -4,7 +4,7 @@ closed and made safe.
 
 from __future__ import annotations
 
-import errno
+import subprocess
 import sys
 import threading
 from contextlib import closing
@@ -19,6 +19,8 @@ from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import BathState
 from instruments.listener import Listener
 from instruments.stage.emulator.board import StageEmulator
+from tests.conftest import ROOT
+from tests.waiting import PATIENCE_S
 
 
 def refused(_: threading.Thread) -> None:
@@ -77,17 +79,27 @@ def test_a_bath_is_made_safe_where_no_thread_starts(
             threading.stack_size(before)
 
 
+FULL = """
+import faulthandler, resource, sys, threading
+from instruments.clock import VirtualClock
+from instruments.listener import Listener
+from instruments.stage.emulator.board import StageEmulator
+
+clock = VirtualClock()
+listener = Listener(StageEmulator(clock), clock, lock=threading.RLock(), name="stage")
+[accepts] = listener._threads
+while sys._current_frames()[accepts.ident].f_code.co_name != "accept":
+    pass
+faulthandler.dump_traceback_later(float(sys.argv[1]), exit=True)
+resource.setrlimit(resource.RLIMIT_NOFILE, (4, 4))
+listener.close()
+print("closed")
+"""
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it is woken by a connection alone")
-def test_an_emulator_can_be_closed_where_no_more_files_are_opened(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    clock = VirtualClock()
-    listener = Listener(StageEmulator(clock), clock, lock=threading.RLock(), name="stage")
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    with monkeypatch.context() as patch:
-        patch.setattr("socket.create_connection", full)
-        listener.close()
-    assert not any(thread.is_alive() for thread in listener._threads)
+def test_an_emulator_can_be_closed_where_no_more_files_are_opened() -> None:
+    command = [sys.executable, "-c", FULL, str(PATIENCE_S)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.stdout == "closed\n", ended.stderr
