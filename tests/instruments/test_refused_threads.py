@@ -80,7 +80,7 @@ def test_a_bath_is_made_safe_where_no_thread_starts(
 
 
 FULL = """
-import faulthandler, resource, sys, threading
+import faulthandler, resource, sys, threading, time
 from instruments.clock import VirtualClock
 from instruments.listener import Listener
 from instruments.stage.emulator.board import StageEmulator
@@ -90,6 +90,7 @@ listener = Listener(StageEmulator(clock), clock, lock=threading.RLock(), name="s
 [accepts] = listener._threads
 while sys._current_frames()[accepts.ident].f_code.co_name != "accept":
     pass
+time.sleep(0.3)  # until the system waits, too: before that it ends by itself
 faulthandler.dump_traceback_later(float(sys.argv[1]), exit=True)
 resource.setrlimit(resource.RLIMIT_NOFILE, (4, 4))
 listener.close()
