@@ -2,6 +2,12 @@
 from detector.calibration import Calibration as Calibration
 from detector.calibration import Part as Part
 from detector.calibration import Record as Record
+from detector.calibration import load_calibration as load_calibration
+from detector.geometry import Array as Array
+from detector.geometry import apply_homography as apply_homography
+from detector.geometry import homogeneous as homogeneous
+from detector.geometry import triangulate as triangulate
+from detector.history import last_visit as last_visit
 from detector.protocol import Context as Context
 from detector.protocol import Detection as Detection
 from detector.protocol import Detector as Detector
@@ -9,3 +15,6 @@ from detector.protocol import Frames as Frames
 from detector.protocol import Outcome as Outcome
 from detector.protocol import Stage as Stage
 from detector.protocol import Teat as Teat
+from detector.protocol import Visit as Visit
+from detector.protocol import WithContext as WithContext
+from detector.protocol import trained_on_of as trained_on_of

@@ -29,3 +29,13 @@ from instruments.errors import LimitError as LimitError
 from instruments.errors import LinkError as LinkError
 from instruments.errors import ProtocolError as ProtocolError
 from instruments.link import Link as Link
+from instruments.world.labels import Labels as Labels
+from instruments.world.objects import make_object as make_object
+from instruments.world.phantom import Phantom as Phantom
+from instruments.world.phantom import PlatePose as PlatePose
+from instruments.world.setups import EYES_MM as EYES_MM
+from instruments.world.setups import Situation as Situation
+from instruments.world.setups import situation_faults as situation_faults
+from instruments.world.shading import Lighting as Lighting
+from instruments.world.shading import Paint as Paint
+from instruments.world.situations import spoken as spoken

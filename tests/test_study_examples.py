@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import importlib
 import json
@@ -49,6 +50,28 @@ def example(name: str) -> ModuleType:
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(write_small_rig(tmp_path_factory.mktemp("rig")))
+
+
+OURS = ("bench", "detector", "instruments", "reports", "textfiles")
+# the pages of the thesis are about its own cameras
+OF_THE_THESIS = "detector.calibration.thesis_rig"
+
+
+def test_every_example_imports_what_is_promised_alone() -> None:
+    found = [
+        (path.name, node.module, one.name)
+        for path in EXAMPLES.glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module != OF_THE_THESIS
+        for one in node.names
+        if node.module.partition(".")[0] in OURS
+    ]
+    assert len(found) > 50
+    promised = {
+        one: set(importlib.import_module(one).__all__) for one in ("detector", "instruments")
+    }
+    promised["bench.testing"] = set(bench.testing.__all__)
+    assert [one for one in found if one[2] not in promised.get(one[1], set())] == []
 
 
 def test_every_example_is_short() -> None:

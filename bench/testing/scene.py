@@ -22,7 +22,7 @@ from instruments.world.objects import KINDS, make_object
 from instruments.world.objects import SceneObject as Placed
 from instruments.world.phantom import Phantom, PlatePose, TeatShape
 from instruments.world.phantom import Teat as Standing
-from instruments.world.setups import EYES_MM, Situation, apart, faults
+from instruments.world.setups import EYES_MM, Situation, apart, situation_faults
 from instruments.world.shading import Lighting, Paint
 from instruments.world.situations import CLEAR_MM
 from instruments.world.state import SceneState
@@ -221,7 +221,7 @@ class Scene(_Differences):
         """
         return draw(self.state(), self.noise, rig=rig, perturbations=self.perturbations)
 
-    def faults(self) -> tuple[str, ...]:
+    def situation_faults(self) -> tuple[str, ...]:
         """What keeps it from being set up on a bench, in words."""
         try:
             situation = self.situation
@@ -230,7 +230,7 @@ class Scene(_Differences):
             return (str(error),)
         if len(self.teats) > 1 and apart(situation.phantom, EYES_MM) < CLEAR_MM:
             return ("a teat stands before another one",)
-        return faults(situation)
+        return situation_faults(situation)
 
     def neighbours(self) -> tuple[Scene, ...]:
         """All that can be set up one step away: a number a step up or down, or other noise."""

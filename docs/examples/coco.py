@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import bench
-from instruments.world.labels import Labels
+from instruments import Labels
 
 NOT_LABELLED, NOT_VISIBLE, VISIBLE = 0, 1, 2  # COCO's flags of a key point
 PICTURES = ("left.png", "right.png", "thermal.png")

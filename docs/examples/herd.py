@@ -18,12 +18,8 @@ from typing import Any
 import numpy as np
 
 import bench
-from detector import registry
-from detector.history import last_visit
-from detector.protocol import Context, Visit, WithContext
-from instruments.world.objects import make_object
-from instruments.world.phantom import Phantom, PlatePose
-from instruments.world.setups import EYES_MM, Situation, faults
+from detector import Context, Visit, last_visit
+from instruments import EYES_MM, Phantom, PlatePose, Situation, make_object, situation_faults
 
 DETECTOR = "fused"  # the one that ships and makes use of a history
 SPREAD = 1.25  # of a full udder against the family's, so that teats stay apart when it is empty
@@ -70,7 +66,7 @@ class Cow:
             tall = float(end[2]) + 22.0
             post = make_object("rod", x_mm=x, y_mm=y, height_mm=tall, radius_mm=15.0)
             tried = replace(found, objects=(*found.objects, post))
-            if not faults(tried):
+            if not situation_faults(tried):
                 found, hidden = tried, hidden | {teat}
         return found, hidden
 
@@ -81,10 +77,11 @@ class Cow:
         return teats, ends[kept] + self._chance.normal(0.0, ATTACHED_MM, (len(kept), 3))
 
 
-def guesses(seed: int, number: int, visits: int, rig: Any) -> Iterator[dict[str, Any]]:
+def guesses(
+    seed: int, number: int, visits: int, rig: Any, detector: Any
+) -> Iterator[dict[str, Any]]:
     """A row for each end that no camera sees: how far off its prediction is, and the last visit."""
-    cow, detector = Cow(seed, number), registry.create(DETECTOR)
-    assert isinstance(detector, WithContext)
+    cow = Cow(seed, number)
     at_h, known = 0.0, list[tuple[float, float, tuple[int, ...], Any]]()
     for visit in range(visits):
         hours = float(cow._chance.uniform(4.0, 14.0))
@@ -127,7 +124,10 @@ def guesses(seed: int, number: int, visits: int, rig: Any) -> Iterator[dict[str,
 def main(cows: int, visits: int, out: Path, seed: int = 1, rig: str = "emulated") -> str:
     """Write a row an unseen end; gives back the summary."""
     with out.open("w", encoding="utf-8", newline="") as file:
-        rows = [row for number in range(cows) for row in guesses(seed, number, visits, rig)]
+        rows = list[dict[str, Any]]()
+        for number in range(cows):
+            with bench.open_detector(DETECTOR) as detector:
+                rows += guesses(seed, number, visits, rig, detector)
         writer = csv.DictWriter(file, ["cow", "visit", "teat", "error_mm", "last_mm", "inside_95"])
         writer.writeheader()
         writer.writerows(rows)

@@ -22,9 +22,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from detector.calibration import Calibration
-from detector.geometry import homogeneous, triangulate
-from detector.protocol import Detection, Frames, Teat, trained_on_of
+from detector import Calibration, Detection, Frames, Teat, homogeneous, trained_on_of, triangulate
 
 HERE = Path(__file__).parent
 SMALLER, CROP_PX = 4, 64  # of the picture that `find` sees; of what `place` sees

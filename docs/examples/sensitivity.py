@@ -18,11 +18,9 @@ from matplotlib.figure import Figure
 
 import bench
 from bench.testing import Applied
-from instruments.world.phantom import Phantom, PlatePose
-from instruments.world.setups import Situation
-from instruments.world.shading import Lighting, Paint
-from reports.figures.drawing import COLOURS, detector_look
-from reports.frames import places_of
+from instruments import Lighting, Paint, Phantom, PlatePose, Situation
+
+MARKS = "os^Dv"
 
 
 class Quantity(NamedTuple):
@@ -105,9 +103,8 @@ def drawn(name: str, rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Errors on a logarithmic scale, and below the share found."""
     figure = Figure((6.0, 5.0), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    for detector, place in places_of(row["detector"] for row in rows).items():
-        role, mark = detector_look(place)  # as on the pages
-        look: dict[str, Any] = {"color": COLOURS[role], "marker": mark}
+    for place, detector in enumerate(dict.fromkeys(row["detector"] for row in rows)):
+        look: dict[str, Any] = {"color": f"C{place}", "marker": MARKS[place % len(MARKS)]}
         own = [row for row in rows if row["detector"] == detector]
         found = [row for row in own if row["found"]]
         x = [row["value"] for row in found]

@@ -19,8 +19,8 @@ from thesis_geometry import plane, rig
 from thesis_pictures import COUNTS, DISTANCES, by_teat, counted, pictured
 
 import bench
-from detector.calibration import load_calibration
-from instruments.world.situations import spoken
+from detector import load_calibration
+from instruments import spoken
 
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 PRINTED = {one["name"]: one for one in FIGURES["situations"]}

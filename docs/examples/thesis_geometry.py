@@ -11,9 +11,8 @@ import numpy as np
 from scipy.special import chdtri
 
 import bench
-from detector.calibration import Calibration
+from detector import Array, Calibration, apply_homography
 from detector.calibration.thesis_rig import LEFT, RIGHT
-from detector.geometry import Array, apply_homography
 
 STEP_MM = 25.0  # by which the sides of regions are tried
 SLACK_MM = 3.0  # a touched place lies this near to the one that was meant

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from detector.calibration import Calibration
-from detector.geometry import Array
-from instruments.world.situations import spoken
+from detector import Array, Calibration
+from instruments import spoken
 
 RADIUS_MM = 11.0  # of a phantom's teat; some 13 px in the optical pictures
 GATE_PX = 40.0  # the side of the region that refinement searches (section 4.2)

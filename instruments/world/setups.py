@@ -74,7 +74,7 @@ STYLUS_LONG_MM = 120.0
 GAP_MM = 2.0  # between things that don't touch
 
 
-def faults(situation: Situation) -> tuple[str, ...]:
+def situation_faults(situation: Situation) -> tuple[str, ...]:
     """What is wrong with a situation, in words; nothing for one that can be set up."""
     found, (low, high) = [], np.asarray(REACH_MM)
     for i, end in enumerate(situation.phantom.ends_mm, 1):

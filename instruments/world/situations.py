@@ -31,7 +31,7 @@ from instruments.world.objects import SceneObject, check_known, make_object
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.sensor import Exposure
-from instruments.world.setups import EYES_MM, Situation, apart, faults, hidden_ways
+from instruments.world.setups import EYES_MM, Situation, apart, hidden_ways, situation_faults
 from instruments.world.shading import Paint
 
 ATTEMPTS = 1000
@@ -67,7 +67,7 @@ def _drawn(name: str, seed: int, attempt: int) -> tuple[Situation | None, Mappin
     if found is None or (name not in CLOSE and apart(found.phantom, EYES_MM) < CLEAR_MM):
         return None, draw.parameters
     found = replace(found, name=name, seed=seed, about=about)
-    return None if faults(found) else found, draw.parameters
+    return None if situation_faults(found) else found, draw.parameters
 
 
 def _upright(draw: Draw, lean_deg: Range = (0.0, 2.0)) -> Situation:

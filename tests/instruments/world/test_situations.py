@@ -12,7 +12,7 @@ import pytest
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
-from instruments.world.setups import Situation, faults, hidden_ways
+from instruments.world.setups import Situation, hidden_ways, situation_faults
 from instruments.world.situations import SITUATIONS, situation
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
@@ -55,7 +55,7 @@ def test_members_are_values_of_name_and_seed_that_can_be_set_up_drawn_and_seen(n
     assert [(one.name, one.seed) for one in found] == [(name, seed) for seed in SEEDS]
     assert len({one.phantom for one in found}) == len(SEEDS)
     for one in found:
-        assert faults(one) == ()
+        assert situation_faults(one) == ()
         state(one)  # checks that nothing is below the table or behind the board
         for camera in renderer().cameras:
             pixels = camera.project(one.phantom.ends_mm)
@@ -275,7 +275,7 @@ def _rod_in(one: Situation) -> SceneObject:
 def test_faults_are_reported(change: Callable[[Situation], dict[str, object]], said: str) -> None:
     one = members("ideal")[0]
     changed = replace(one, **change(one))  # type: ignore[arg-type]
-    assert any(said in fault for fault in faults(changed)), faults(changed)
+    assert any(said in fault for fault in situation_faults(changed)), situation_faults(changed)
 
 
 def test_unknown_names_and_seeds_are_refused() -> None:
