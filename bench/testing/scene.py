@@ -221,7 +221,7 @@ class Scene(_Differences):
         """
         return draw(self.state(), self.noise, rig=rig, perturbations=self.perturbations)
 
-    def situation_faults(self) -> tuple[str, ...]:
+    def faults(self) -> tuple[str, ...]:
         """What keeps it from being set up on a bench, in words."""
         try:
             situation = self.situation

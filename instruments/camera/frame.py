@@ -159,7 +159,8 @@ def no_picture(frame: RawFrame) -> Iterator[tuple[str, object]]:
         if not isinstance(one, np.ndarray):
             yield "has pixels that are no array of NumPy", one
             return
-        known = one.dtype in (np.uint8, np.uint16) or (ranging and one.dtype.kind in "uif")
+        native = one.dtype.newbyteorder("=")
+        known = native in (np.uint8, np.uint16) or (ranging and one.dtype.kind in "uif")
         if one.ndim not in (2, 3) or not 0 < one.size <= MOST_VALUES or not known:
             yield "is no picture of 8 or 16 bits", (one.shape, one.dtype)
         elif not ranging and one.max() >= 2 ** int(bits):

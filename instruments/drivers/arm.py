@@ -13,7 +13,13 @@ from instruments.clock import Clock
 from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import ArmDriver, ArmPoint
-from instruments.errors import DeviceError, InstrumentError, LimitError, TouchAgainError
+from instruments.errors import (
+    DeviceError,
+    InstrumentError,
+    LimitError,
+    ProtocolError,
+    TouchAgainError,
+)
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
 
@@ -174,14 +180,24 @@ class PluggedArm(Plugged):
     def _checked(self, given: object) -> ArmPoint:
         if not isinstance(given, ArmPoint):
             raise self._border.broken("its reading is no ArmPoint", given)
-        tip = np.asarray(given.tip_mm)
-        if tip.shape != (3,) or tip.dtype.kind not in "iuf" or not np.isfinite(tip).all():
+        if (tip := self._three(given.tip_mm)) is None:
             raise self._border.broken("its tip is no three numbers", given)
         if np.abs(tip).max() > FARTHEST_MM:
             raise self._border.broken("its tip is farther than any arm reaches (mm?)", given)
         axis = None
         if given.axis is not None:
-            axis = np.asarray(given.axis, dtype=np.float64)
-            if axis.shape != (3,) or not 0.0 < np.linalg.norm(axis) < np.inf:
+            axis = self._three(given.axis)
+            if axis is None or not 0.0 < np.linalg.norm(axis) < np.inf:
                 raise self._border.broken("its axis is no direction", given)
-        return ArmPoint(tip.astype(np.float64), axis, self._border.flag(given.moving, "moving"))
+        return ArmPoint(tip, axis, self._border.flag(given.moving, "moving"))
+
+    def _three(self, given: object) -> Floats | None:
+        """Three finite numbers, whatever they are given as; None for what is none."""
+        numbers = np.asarray(given)
+        if numbers.shape != (3,) or numbers.dtype.kind == "b":
+            return None
+        try:
+            each = [self._border.number(one, "coordinate") for one in numbers.tolist()]
+        except ProtocolError:
+            return None
+        return np.array(each, dtype=np.float64)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCalibration, MakersLens
 from instruments.camera.frame import FrameError, FrameFault, RawFrame, no_picture
@@ -122,6 +123,11 @@ def checked(border: PluginBoundary[Any], name: str, frame: object, asked_s: floa
     if not asked_s - OFF_S < exposed_s < now_s + OFF_S:
         what = f"exposed at {exposed_s:.3f} s of the bench's clock, asked for at {asked_s:.3f} s"
         raise FrameError(FrameFault.LATE, name, border.who, what, hint=f"Correct {border.plugged}")
-    amplitude = None if frame.amplitude is None else frame.amplitude.copy()
-    kept = (frame.pixels.copy(), exposed_s, int(frame.bits), frame.ranging)  # not its buffer
+    amplitude = None if frame.amplitude is None else _own(frame.amplitude)
+    kept = (_own(frame.pixels), exposed_s, int(frame.bits), frame.ranging)
     return RawFrame(*kept, amplitude, int(frame.passed_over))
+
+
+def _own(pixels: NDArray[Any]) -> NDArray[Any]:
+    """A copy, as the driver may fill its buffer again; in this machine's order of bytes."""
+    return np.array(pixels, dtype=pixels.dtype.newbyteorder("="))

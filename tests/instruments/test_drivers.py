@@ -10,6 +10,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -418,3 +420,29 @@ def test_an_arm_that_lost_its_link_has_no_position_before_it_is_referenced_again
     assert not arm.homed
     with pytest.raises(LimitError, match="no position before homing"):
         arm.read()
+
+
+@pytest.mark.parametrize(
+    "tip_mm",
+    [
+        np.array(["1.5", "2", "3"]),
+        np.array([np.float32(1.5), 2, Decimal(3)], dtype=object),
+        (Fraction(3, 2), 2.0, "3"),
+    ],
+    ids=["texts", "of each kind", "a tuple"],
+)
+def test_a_tips_numbers_are_taken_as_any_others(tip_mm: Any) -> None:
+    class Tip:
+        homing, touches, identity = "Put it into its holder.", False, {"serial_number": "1"}
+
+        def __init__(self, _: object) -> None: ...
+
+        def read(self) -> ArmPoint:
+            return ArmPoint(tip_mm, tip_mm)
+
+        def close(self) -> None: ...
+
+    arm = PluggedArm(Plugin("tip", "here", Tip), VirtualClock())
+    arm.sign_on()
+    arm.confirm_homed()
+    assert arm.read().tip_mm.tolist() == [1.5, 2.0, 3.0]

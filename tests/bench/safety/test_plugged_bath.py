@@ -314,6 +314,7 @@ RUNS: list[tuple[str, int, Callable[[Any], Any], int, str]] = [
 GIVEN: list[tuple[object, str]] = [
     (None, "no mapping of parts .*Correct the plug-in d of pkg 1"),
     (changed() | {"up": None}, ""),
+    (changed(pixels=np.full((4, 4), 200, ">u2"), bits=16), ""),
     (changed(bits=5), "its left frame has values beyond its 5"),
     (changed(exposed_s=90.0), r"exposed at 90\.000 s of the"),
 ]
