@@ -35,6 +35,7 @@ from detector.protocol import (
     depth_of,
 )
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
+from instruments.drivers.entry_points import undisturbed
 from reports.sanitize import sanitized
 from textfiles.text import named
 
@@ -259,7 +260,8 @@ def examine(
             served.prepare(shown, calibration)
         start_s, used_before_s = stopwatch_s(), processor_s()
         try:
-            with redirect_stdout(sys.stderr):  # the bench's own output may be read by a program
+            # the bench's own output may be read by a program
+            with undisturbed(), redirect_stdout(sys.stderr):
                 if context and isinstance(detector, WithContext):
                     given: Any = detector.detect_with(shown, calibration, context)
                 else:

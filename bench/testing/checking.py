@@ -137,9 +137,15 @@ def check(
     searched = hypothesis and hypothesis.currently_in_test_context()
     if searched and late and scene not in late:
         hypothesis.reject()  # a simpler scene may take as long again
-    found = (late or {}).get(scene) or look(
-        detector, scene, limit_mm, rig=str(rig), timeout_s=timeout_s
-    )
+    found = (late or {}).get(scene)
+    try:
+        if isinstance(found, BaseException):
+            raise found
+        found = found or look(detector, scene, limit_mm, rig=str(rig), timeout_s=timeout_s)
+    except BaseException as error:
+        if late is not None and not isinstance(error, Exception):
+            late[scene] = error  # as pytest-timeout's, which comes once
+        raise
     if late is not None and found.late:
         late[scene] = found
     if searched:
@@ -152,7 +158,7 @@ def check(
 
 
 # scenes without an answer in time, of one test: the plug-in for pytest tells tests apart
-late: dict[Scene, SceneResult] | None = None
+late: dict[Scene, SceneResult | BaseException] | None = None
 
 
 def look(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import builtins
 import json
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -289,6 +292,26 @@ def test_no_detector_can_change_the_pictures_under_the_others() -> None:
     assert "read-only" in str(answer.detection.reason)
     assert not FRAMES.left.any()
     FRAMES.left[0, 0] = 0  # the bench itself may
+
+
+def test_a_detector_changes_nothing_of_the_benchs_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
+
+    def odd() -> Detection:
+        sys.meta_path.clear()
+        threading.stack_size(1 << 40)
+        builtins.open = time.sleep = crash  # type: ignore[assignment]
+        os.chdir("/")
+        return Detection()
+
+    before = Path.cwd(), open, time.sleep, [*sys.meta_path]
+    assert asked(odd).outcome is Outcome.ANSWERED
+    assert (Path.cwd(), open, time.sleep, sys.meta_path) == before
+    worker = threading.Thread(target=lambda: None)
+    worker.start()
+    worker.join()
 
 
 def test_no_detector_can_change_the_calibration_under_the_others() -> None:

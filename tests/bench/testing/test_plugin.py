@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import SimpleNamespace
@@ -95,6 +96,38 @@ def test_each_was_asked_once():
     over.set()
     assert len(asked) == 2
 """
+# as by pytest-timeout, which ends a test once
+BROKEN_OFF = """
+import signal, threading, time
+import pytest
+from hypothesis import given, settings
+from bench.testing import check, scenes
+
+asked = []
+
+class Hangs:
+    name, version, parameters = "hangs", "1", {}
+    def detect(self, frames, calibration):
+        asked.append(frames)
+        threading.Timer(0.3, signal.raise_signal, [signal.SIGALRM]).start()
+        time.sleep(60.0)
+
+def ends(*_):
+    signal.signal(signal.SIGALRM, signal.SIG_IGN)
+    pytest.fail("too late")
+
+hangs = Hangs()
+
+@settings(max_examples=20)
+@given(scenes())
+def test_object(scene):
+    if not asked:
+        signal.signal(signal.SIGALRM, ends)
+    check(hangs, scene, timeout_s=5.0, rig=RIG)
+
+def test_it_was_asked_once():
+    assert len(asked) == 1
+"""
 # hypothesis itself stops after 5 minutes by the clock, and explains by a hundred scenes
 SLOW = """
 import sys, time
@@ -112,6 +145,18 @@ def test_slow(number):
 @pytest.fixture
 def rig(pytester: pytest.Pytester) -> str:
     return str(write_small_rig(pytester.path))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no SIGALRM")
+def test_a_test_that_is_broken_off_from_outside_asks_nothing_more(
+    pytester: pytest.Pytester, rig: str
+) -> None:
+    """hypothesis would make the scene simpler, and nothing would break those calls off."""
+    pytester.makepyfile(f"RIG = {rig!r}\n{BROKEN_OFF}")
+    result = pytester.runpytest_subprocess(*PLUGIN)
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines("*Failed: too late*")
 
 
 def run(pytester: pytest.Pytester, program: str, *words: str) -> pytest.RunResult:
