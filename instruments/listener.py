@@ -20,6 +20,9 @@ from weakref import WeakSet
 from instruments.clock import Clock, VirtualClock, unbroken
 from instruments.pacing import Pacer, Port, ServedPort, check_pace
 
+# for a thread to end, which never does where another has closed what it waits at
+END_S = 3.0
+
 
 class Device(Protocol):
     """The emulated instrument behind a wire."""
@@ -258,7 +261,7 @@ class Listener:
             connection.abort()
         for thread in self._threads:
             if thread.ident:  # else a limit of memory or of threads has refused it
-                thread.join()
+                thread.join(END_S)
 
     def _start(self, work: Callable[[], None]) -> None:
         thread = threading.Thread(target=work, name=f"{self.name} emulator", daemon=True)

@@ -70,7 +70,7 @@ def test_every_example_imports_what_is_promised_alone() -> None:
     promised: dict[str, set[str]] = {
         one: {*importlib.import_module(one).__all__} for one in ("detector", "instruments")
     }
-    promised["bench.testing"] = set(bench.testing.__all__)
+    promised["bench.testing"] = {*bench.testing.__all__}
     assert [one for one in found if one[2] not in promised.get(one[1], set())] == []
 
 
