@@ -27,8 +27,8 @@ BLOCKED = "Look whether something is in the stage's way. Then keep your hands of
 
 @dataclass(slots=True, eq=False)
 class Reconnecting:
-    """Waits for ``arm`` and ``stage`` (None: there is none), for ``away_s`` each time. The person is
-    asked by ``ask`` and told by ``say``.
+    """Waits for ``arm`` and ``stage`` (None: there is none), for ``away_s`` each time; ``ask`` and
+    ``say`` speak to the person.
     """
 
     arm: Arm
