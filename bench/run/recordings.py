@@ -64,8 +64,10 @@ class Recorder:
         if self._broken:  # a recording with holes would be taken for a whole one
             return
         with self._watched():
-            self._writer.add(trial_id, frames, truth if confirmed else ())
-            if not confirmed:
+            self._writer.add(trial_id, frames)
+            if confirmed:
+                self._writer.add_truth(trial_id, truth)
+            else:
                 self._open[trial_id] = truth
 
     def settled(self, trials: Sequence[str], good: bool) -> None:
