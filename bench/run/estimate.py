@@ -258,9 +258,7 @@ def no_room(wanted_mb: float, folder: Path) -> str:
     return f"NOT ENOUGH ROOM: {free}, and up to {wanted_mb:.0f} MB are needed. Make room."
 
 
-def refuse_no_room(
-    rig: LoadedRig, trials: int, folder: Path, record: Path | None = None
-) -> None:
+def refuse_no_room(rig: LoadedRig, trials: int, folder: Path, record: Path | None = None) -> None:
     """Raises ConfigError where so many trials may not fit in ``folder``, and their frames once more
     in ``record``.
     """
