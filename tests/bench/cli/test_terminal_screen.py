@@ -179,7 +179,7 @@ def test_no_word_is_broken_at_a_narrow_terminal(tmp_path: Path, said: Said) -> N
     init = "init --yes --port socket://127.0.0.1:1 --out {}"
     said(0, init, unfilled := tmp_path / "rig.toml")
     written = said(2, "check {}", unfilled).out
-    with at_terminal(["check", unfilled], 44, tmp_path) as terminal:
+    with at_terminal(["check", str(unfilled)], 44, tmp_path) as terminal:
         assert terminal.code() == 2
     shown = [word for row in terminal.screen.rows for word in row.split()]
     long = [word for word in written.split() if len(word) < 44]
@@ -196,7 +196,7 @@ def test_no_word_is_broken_at_a_narrow_terminal(tmp_path: Path, said: Said) -> N
         "5",
         "--out",
     ]
-    with at_terminal([*verify, tmp_path / "arm.toml"], 44, tmp_path) as terminal:
+    with at_terminal([*verify, str(tmp_path / "arm.toml")], 44, tmp_path) as terminal:
         terminal.press_enter_to_the_end()
     seen = " ".join(word for row in terminal.screen.rows for word in row.split())
     assert "degrees of freedom); --accuracy-mm 0.23 is" in seen
