@@ -9,8 +9,11 @@ import difflib
 import os
 import re
 import shlex
+import textwrap
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+from typing import TextIO
 
 MOST_BYTES = 32 * 1024 * 1024  # no file that a person writes is as long
 MARKS = (
@@ -115,3 +118,21 @@ def time_text(seconds: float) -> str:
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+LEAST_COLUMNS = 20  # a pseudo-terminal whose size nobody has set has 0
+
+
+def wrapped(text: str, out: TextIO) -> str:
+    """``text`` broken between words where the terminal ``out`` ends; as it is for any other."""
+    columns = 0
+    with suppress(OSError, ValueError, AttributeError):
+        columns = os.get_terminal_size(out.fileno()).columns
+    if columns < LEAST_COLUMNS:
+        return text
+    wrap = textwrap.TextWrapper(columns - 1, break_on_hyphens=False, break_long_words=False)
+    lines = []
+    for line in text.split("\n"):
+        end = " " * (len(line) - len(line.rstrip()))
+        lines.append(("\n".join(wrap.wrap(line)) + end) if len(line) >= columns else line)
+    return "\n".join(lines)

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from bench.api.rigs import OpenRig, open_rig
@@ -18,18 +17,17 @@ from bench.calibrate.views import ViewsRequest, free_folder, gather
 from bench.calibrate.world import POINTS_FILE, TouchSession, gather_points
 from bench.config import ConfigError
 from bench.rig.alone import TakePictures, pictures, with_retries
+from bench.rig.reconnecting import Reconnecting
 from bench.script.calibration_age import refuse_other_cameras
 from detector.calibration import Part
 from detector.calibration.boards import Board
 from instruments.camera.frame import Grey
 from instruments.captures.capture import CaptureFile
-from instruments.errors import LinkError
-from instruments.operators.operator import Finish, Homing
+from instruments.operators.operator import Finish
 from textfiles.text import plural
 
 Say = Callable[[str], None]
 STEREO = ViewsRequest()
-ARM_TRIES = 3  # to find an arm that was lost
 
 
 @contextmanager
@@ -98,28 +96,14 @@ def touch_points(
         try:
             opened.home()
             radius_mm = opened.loaded.rig.arm.tip_radius_mm
-            find_arm = partial(_find_arm, opened, say)
-            asking = TouchSession(look, opened.operator, opened.tip, radius_mm, say, find_arm)
+            who = opened.arm, opened.operator.ask, opened.clock
+            lost = Reconnecting(*who, say, opened.loaded.rig.limits.away_s)
+            asking = TouchSession(look, opened.operator, opened.tip, radius_mm, say, lost.wait)
             gather_points(asking, board, folder)
             opened.operator.ask(Finish())
         finally:
             opened.arm.safe()
     return folder / POINTS_FILE
-
-
-def _find_arm(opened: OpenRig, say: Say) -> None:
-    """Home an arm that was lost. Raises LinkError where it stays away, DeviceError for another."""
-    for tries_left in reversed(range(ARM_TRIES)):
-        opened.operator.ask(Homing(opened.arm.homing_again))
-        try:
-            opened.arm.recover()
-            opened.arm.home()
-        except LinkError as error:
-            if not tries_left:
-                raise
-            say(f"{error}")
-        else:
-            return
 
 
 def makers_calibration(rig: AnyRig, *, by: str = "") -> Part:

@@ -19,6 +19,7 @@ from bench.rig.leaving import to_stderr
 from bench.rig.loading import LoadedRig
 from bench.rig.lock import lock_path, locked
 from bench.rig.opening import ALL, open_instruments
+from bench.rig.reconnecting import Reconnecting
 from bench.safety.bath_monitor import BathMonitor, SafeAtOnce
 from bench.safety.interlocks import Interlocks
 from bench.safety.latch import unconfirmed
@@ -26,7 +27,7 @@ from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
 from bench.script.detectors import refusals
 from bench.truth.stage_registration import ends_of
-from bench.truth.touching import Ends, TipReader, Toucher
+from bench.truth.touching import Ends, EndTouches, SoFar, TipReader, Toucher
 from detector import registry
 from detector.calibration import Calibration
 from instruments.bath.reading import BathReading
@@ -260,11 +261,14 @@ class OpenRig:
         ask = lambda request: self.operator.ask(request, self.check)  # noqa: E731
         toucher = Toucher(ask, self.tip, self.loaded.rig.arm, self.clock, self.check)
         ends: Ends = ends_of(stands.phantom.moved(self._pose))
+        away_s, so_far = self.loaded.rig.limits.away_s, SoFar()
+        lost = Reconnecting(self.arm, ask, self.clock, self._warn, away_s)
         if teat is None:
-            points, _ = toucher.touch_all(ends)
+            points, _ = lost.keep(lambda: toucher.touch_all(ends, so_far))
             teats: Sequence[int] = range(1, len(points) + 1)
         else:
-            points, teats = [toucher.touch_one(teat, ends)[0]], [teat]
+            taken: EndTouches = []
+            points, teats = [lost.keep(lambda: toucher.touch_one(teat, ends, taken))[0]], [teat]
         return tuple(
             TruthRow(stands.situation, str(i), p.xyz_mm, self._visible[i - 1], p.u_mm)
             for i, p in zip(teats, points, strict=True)

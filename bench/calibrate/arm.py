@@ -1,6 +1,7 @@
 """One arm alone: connected by its URL, signed on, homing confirmed by the person who stands beside
 it; and the dialogues of `arm frame` and `arm verify`. A touch that can't be used
-(the arm moved, two points are too near) is asked for again; nothing is lost but that touch.
+(the arm moved, or its link was lost; two points are too near) is asked for again; nothing is lost
+but that touch.
 
 `emulator:` means an emulated arm of this process that goes where the dialogue asks. Time is real: a
 person takes part.
@@ -35,8 +36,9 @@ from bench.rig.arm_files import (
     world_from_arm,
 )
 from bench.rig.model import Arm as ArmTable
-from bench.rig.model import Baud
+from bench.rig.model import Baud, SafetyLimits
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
+from bench.rig.reconnecting import Reconnecting
 from bench.rig.urls import EMULATED, arm_url
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.captures.capture import CaptureFile
@@ -45,7 +47,7 @@ from instruments.drivers.protocols import Arm
 from instruments.errors import TouchAgainError
 from instruments.microscribe.driver import Reading
 from instruments.operators.console import Console
-from instruments.operators.operator import Operator, Task
+from instruments.operators.operator import Operator, Request, Task
 from textfiles.bounds import ABOVE_0, COUNT, Bounds
 
 Floats = NDArray[np.float64]
@@ -58,6 +60,7 @@ PEG = "Put the arm's stylus on its peg and let go of it. Homed elsewhere, positi
 DISTANCES = Bounds("1, 2 or 3", least=1, below=4, whole=True)
 SEVERAL = Bounds("a whole number of 2 or more", least=2, whole=True)
 SD = Bounds("a number of 0 or more", least=0.0)
+AWAY_S = float(SafetyLimits.model_fields["away_s"].default)
 LEANS = ("upright", "leaning left", "leaning right", "leaning towards you", "leaning away from you")
 DIVOTS = {
     "near": "near the arm, some 200 mm from its base",
@@ -83,6 +86,7 @@ class ArmSession:
     clock: Clock
     operator: Operator
     trying: TryingArm | None
+    away_s: float = AWAY_S
 
     def ask(self, text: str) -> None:
         self.operator.ask(Task(text))
@@ -324,11 +328,21 @@ def _divot(session: ArmSession, name: str, touches: int) -> LocationTest:
 
 
 def read_touch(session: ArmSession, step: Step) -> Reading:
-    """One reading of what ``step`` asks for; asked again while the arm moves."""
+    """One reading of what ``step`` asks for; asked again while the arm moves, or was lost."""
+
+    def touched() -> Reading:
+        session.touch(step)  # a pedal's watch sees a loss here
+        return session.arm.read()
+
+    def ask(request: Request) -> None:
+        if session.trying:
+            session.trying.rest()
+        session.operator.ask(request)
+
+    again = Reconnecting(session.arm, ask, session.clock, session.say, session.away_s)
     while True:
-        session.touch(step)
         try:
-            reading = session.arm.read()
+            reading = again.keep(touched)
         except TouchAgainError as refused:
             session.say(str(refused))
             continue

@@ -82,6 +82,11 @@ class TryingArm:
             except OutOfReachError as error:
                 raise ConfigError.plain(f"the emulated arm can't do this: {error}") from error
 
+    def rest(self) -> None:
+        """Put the stylus on its peg."""
+        with self._lock:
+            self._held = None
+
     def __enter__(self) -> TryingArm:
         return self
 

@@ -5,15 +5,17 @@ taken, but every instrument of the rig has to answer.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from math import hypot
 
 from bench.config import ConfigError, check_within
 from bench.rig.loading import AnyRig, any_rig
 from bench.rig.lock import lock_path, locked
 from bench.rig.opening import open_instruments
+from bench.rig.reconnecting import Reconnecting
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
-from bench.truth.stage_registration import around, register
+from bench.truth.stage_registration import Registering, around, register
 from bench.truth.touching import TipReader, Toucher, end_u_mm
 from instruments.captures.capture import CaptureFile
 from instruments.clock import wall_time
@@ -81,10 +83,13 @@ def calibrate_stage(
             )
             operator.ask(Arrangement("stage_registration", phantom, (), text))
             toucher = Toucher(operator.ask, tip, rig.rig.arm, devices.clock, lambda: None, readings)
-            return register(
+            who = arm, operator.ask, devices.clock, say, rig.rig.limits.away_s
+            made = partial(
+                register,
                 stage,
                 settings,
                 toucher,
+                Registering(),
                 phantom,
                 poses,
                 teat=teat,
@@ -93,6 +98,7 @@ def calibrate_stage(
                 serial_number=arm.identity.serial_number,
                 report=say,
             )
+            return Reconnecting(*who, stage).keep(made)
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
         finally:  # the arm signed off, whatever came before

@@ -27,13 +27,7 @@ from detector.calibration.rigid import WorldFit, fit_world
 from detector.calibration.values import covariance_of_points
 from detector.geometry import Array
 from instruments.camera.frame import Grey
-from instruments.errors import (
-    DeviceError,
-    InstrumentError,
-    LinkError,
-    ProtocolError,
-    TouchAgainError,
-)
+from instruments.errors import DeviceError, InstrumentError, TouchAgainError
 from instruments.microscribe.driver import Reading
 from instruments.operators.operator import BoardPose, BoardTouch, Operator, Release
 from textfiles import tables
@@ -188,8 +182,8 @@ COLOUR = (0, 200, 255)
 
 @dataclass(frozen=True, slots=True)
 class TouchSession:
-    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find_arm`` has
-    an arm that was lost homed again, or raises what keeps it away.
+    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find_arm`` waits
+    for an arm that was lost, or raises its fault.
     """
 
     look: Callable[[], Mapping[str, Grey]]
@@ -197,7 +191,7 @@ class TouchSession:
     tip: TipReader
     tip_radius_mm: float
     report: Callable[[str], None]
-    find_arm: Callable[[], None]
+    find_arm: Callable[[InstrumentError], None]
 
 
 def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPoints:
@@ -284,15 +278,14 @@ def _touched(asking: TouchSession, board: Board, at: int, before: list[Reading])
         f"Touch point {at + 1} of {len(corners)}, the {which} one, with the tip and hold it still."
     )
     for _ in range(TRIES):
-        asking.operator.ask(BoardTouch(corners[at], text, again))
         try:
+            asking.operator.ask(BoardTouch(corners[at], text, again))
             reading = asking.tip.read()
         except TouchAgainError as moves:
             again = f"{moves} Touch it once more."
             continue
-        except (LinkError, ProtocolError) as error:
-            asking.report(f"point {at + 1}: {error}")
-            asking.find_arm()
+        except InstrumentError as error:
+            asking.find_arm(error)
             again = "The touches before this one are kept."
             continue
         printed, wrong = board.points_mm[list(corners)], ""

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TextIO
 
 from bench.version import __version__
 from textfiles.bounds import Bounds
+from textfiles.text import wrapped
 from textfiles.whole import refusal, try_write
 
 PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
@@ -61,6 +62,12 @@ def complain(text: str, code: int) -> int:
     """Say on standard error what is wrong; gives back ``code``."""
     _write(f"teatbench: {text}", sys.stderr)
     return code
+
+
+def say(*texts: object) -> None:
+    """Each text as a line of standard output; at a terminal wrapped between words."""
+    for text in texts:
+        print(wrapped(str(text), sys.stdout), flush=True)
 
 
 def _write(text: str, out: TextIO) -> None:

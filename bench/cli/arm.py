@@ -11,7 +11,7 @@ from dataclasses import fields
 from typing import Any
 
 import bench
-from bench.cli.arguments import CODES, code_of, complain, in_switches, print_json
+from bench.cli.arguments import CODES, code_of, complain, in_switches, print_json, say
 from instruments import RealClock
 
 
@@ -38,11 +38,11 @@ def read(given: argparse.Namespace) -> None:
     if given.json:
         print_json(line)
         return
-    print(f"arm {found.serial_number}")
+    say(f"arm {found.serial_number}")
     spread = f", spread {found.spread_mm:.2f} mm over {found.packets} packets"
-    print(f"tip {_mm(found.tip_mm)} in the arm's frame{spread if found.packets > 1 else ''}")
+    say(f"tip {_mm(found.tip_mm)} in the arm's frame{spread if found.packets > 1 else ''}")
     if found.world_mm is not None and found.frame is not None:
-        print(f"    {_mm(found.world_mm)} in the world (frame of {found.frame.made:%Y-%m-%d})")
+        say(f"    {_mm(found.world_mm)} in the world (frame of {found.frame.made:%Y-%m-%d})")
 
 
 def watch(given: argparse.Namespace) -> None:
@@ -72,7 +72,7 @@ def watch(given: argparse.Namespace) -> None:
 def home(given: argparse.Namespace) -> None:
     with bench.open_arm(given.port, on_peg=given.on_peg, **_link(given)) as arm:
         found = arm.read()
-    print(
+    say(
         f"Homed. The tip stands at {_mm(found.tip_mm)} in the arm's frame. Leave the arm"
         " switched on."
     )
@@ -82,7 +82,7 @@ def frame(given: argparse.Namespace) -> int:
     checks = [*given.check, *[None] * given.plane_checks]
     found = bench.touch_frame(given.port, checks, homed=given.homed, **_link(given))
     for name, residual in found.residuals_mm.items():
-        print(f"{name}: {residual:.2f} mm off")
+        say(f"{name}: {residual:.2f} mm off")
     if found.residual_mm is not None and found.residual_mm > given.residual_limit_mm:
         return complain(
             f"a check point is {found.residual_mm:.2f} mm off, limit"
@@ -92,8 +92,8 @@ def frame(given: argparse.Namespace) -> int:
         )
     bench.write_arm_file(found, given.out)
     if found.residual_mm is None:
-        print("No check point was touched, so nothing is known of how good this frame is.")
-    print(f'Written: {given.out}. Name it in the rig file: [arm] frame = "{given.out.name}"')
+        say("No check point was touched, so nothing is known of how good this frame is.")
+    say(f'Written: {given.out}. Name it in the rig file: [arm] frame = "{given.out.name}"')
     return CODES.met
 
 
@@ -101,28 +101,26 @@ def verify(given: argparse.Namespace) -> int:
     keys = (field.name for field in fields(bench.VerificationPlan))
     plan = bench.VerificationPlan(**{key: getattr(given, key) for key in keys})
     how = {"script": given.script, "accuracy_mm": given.accuracy_mm, "homed": given.homed}
-    warn = lambda text: print(in_switches(text, given))  # noqa: E731
+    warn = lambda text: say(in_switches(text, given))  # noqa: E731
     found = bench.verify_arm(given.port, plan, warn=warn, **how, **_link(given))
     bench.write_arm_file(found, given.out)
     seen, limits = found.verification, found.limits
-    print(
-        f"Articulated location error {seen.location_mm:.2f} mm, limit {limits.location_mm:.2f} mm"
-    )
+    say(f"Articulated location error {seen.location_mm:.2f} mm, limit {limits.location_mm:.2f} mm")
     if seen.length_mm is not None:
-        print(
+        say(
             f"Largest error of the calibrated length {seen.length_mm:.2f} mm, limit"
             f" {limits.length_mm:.2f} mm"
         )
     for text in found.contradictions:
-        print(f"{text[0].upper()}{text[1:]}.")
+        say(f"{text[0].upper()}{text[1:]}.")
     for check in found.checks:
         low, high = (found.u_mm * ratio for ratio in check.ratio_interval)
-        print(
+        say(
             f"The {check.name} show an arm of u = {found.u_mm * check.ratio:.2f} mm"
             f" ({low:.2f} to {high:.2f}, {check.df} degrees of freedom); --accuracy-mm"
             f" {found.u_mm:g} is {'too small' if check in found.refuted else 'not refuted'}"
         )
-    print(f'Written: {given.out}. Name it in the rig file: [arm] verification = "{given.out.name}"')
+    say(f'Written: {given.out}. Name it in the rig file: [arm] verification = "{given.out.name}"')
     for fault in (*found.broken, *found.gaps):
         complain(f"not verified: {fault}", CODES.not_met)
     return code_of(found.verdict)

@@ -22,7 +22,7 @@ from rich.live import Live
 from rich.text import Text
 
 import bench
-from bench.cli.arguments import CODES, complain, print_json, print_values
+from bench.cli.arguments import CODES, complain, print_json, print_values, say
 from bench.cli.terminal import Terminal
 from instruments import BathReading, InstrumentError, LimitError, RealClock
 from instruments.bath.access import NOT_READ
@@ -97,7 +97,7 @@ def watch(given: argparse.Namespace) -> None:
         try:
             show_views(takewhile(lambda _: clock.now() < end_s, views), Terminal())
         except KeyboardInterrupt:
-            print("left as it is; 'teatbench bath standby' switches the heater off")
+            say("left as it is; 'teatbench bath standby' switches the heater off")
 
 
 def standby(given: argparse.Namespace) -> int:
@@ -116,9 +116,9 @@ def standby(given: argparse.Namespace) -> int:
 
 def acknowledge(given: argparse.Namespace) -> None:
     if (found := bench.latched(bench.load_rig(given.rig))) is None:
-        print("nothing is latched: no interlock of this rig waits to be acknowledged")
+        say("nothing is latched: no interlock of this rig waits to be acknowledged")
         return
-    print(f"latched: {found}")
+    say(f"latched: {found}")
     bench.acknowledge(given.rig, capture=given.capture)
     print("acknowledged; the rig may run again")
 

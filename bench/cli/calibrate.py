@@ -19,6 +19,7 @@ import numpy as np
 
 import bench
 from bench.cli.arguments import CODES, code_of, command_line, complain, refuse_existing
+from bench.cli.arguments import say as show
 from bench.cli.commands import CAMERAS
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from detector import Calibration, Part, Record
 
 CHECK_VIEWS, SHOWN = 5, 3  # views of a check; pictures that are left out
-say = partial(print, flush=True)  # for the person at the rig
+say = show  # for the person at the rig, while it is worked with
 FOLDERS = "folders of pictures (FRAMES)"
 
 
@@ -58,14 +59,14 @@ def cameras(given: argparse.Namespace) -> int:
     unwritten = _finish(given, result.part, page, inputs=paths, cameras=identity | named)
     for camera, coverage in result.coverage.items():
         if coverage.missing:
-            print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
+            show(f"still missing, {camera}: {'; '.join(coverage.missing)}")
     for text in result.not_shown(at_mm):
-        print(f"still missing: {text}")
-    print(*result.text(), sep="\n")
+        show(f"still missing: {text}")
+    show(*result.text())
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
-    print(f"a point at {at_mm / 1000:g} m: good to {good_mm:.2f} mm (k = 2)")
+    show(f"a point at {at_mm / 1000:g} m: good to {good_mm:.2f} mm (k = 2)")
     verdict, _ = good(result.findings, good_mm)
-    print(f"Verdict: {verdict}. {cameras_sentence(result, at_mm)}")
+    show(f"Verdict: {verdict}. {cameras_sentence(result, at_mm)}")
     code = _say(result.findings, on_page=True) or code_of(verdict)
     return unwritten or code
 
@@ -106,7 +107,7 @@ def thermal(given: argparse.Namespace) -> int:
     unwritten = _finish(given, result.part, page, inputs=paths, cameras=identity, pair=pair)
     of_views = [*result.joint.view_rms_px("thermal").values()]
     rms = float(np.sqrt(np.mean(np.square(of_views))))
-    print(f"thermal camera: {rms:.3f} px rms over {plural(len(of_views), 'view')}")
+    show(f"thermal camera: {rms:.3f} px rms over {plural(len(of_views), 'view')}")
     return unwritten
 
 
@@ -129,7 +130,7 @@ def world(given: argparse.Namespace) -> int:
     fit = result.fit
     missed = f"missed by {fit.comparison.rigid.fre_mm:.3f} mm rms"
     lengths = f"lengths {fit.scale:.5f} ± {fit.scale_sd:.5f} of the arm's"
-    print(f"{plural(len(fit.touched_mm), 'point')}: {missed}, {lengths}")
+    show(f"{plural(len(fit.touched_mm), 'point')}: {missed}, {lengths}")
     code = _say(result.findings)
     return unwritten or code
 
@@ -151,7 +152,7 @@ def check(given: argparse.Namespace) -> int:
         what = "points" if given.points else "views of the board"
         text = f"{looked_at} {what} tell nothing, at least {LEAST_LOOKED_AT} are needed"
         return complain(f"not checked: {text}", CODES.inconclusive)
-    print("It still holds." if not findings else "It no longer holds.")
+    show("It still holds." if not findings else "It no longer holds.")
     code = _say(findings)
     return unwritten or code
 
@@ -165,7 +166,7 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], 
     views, paths, _ = _views_of(given, part, wanted, others)
     again, findings = bench.check_pair(part, views)
     scale, sd = again.scale
-    print(
+    show(
         f"{plural(len(again.views), 'view')}: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
         f" {again.epipolar_rms_px:.2f} px rms"
     )
@@ -181,7 +182,7 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any],
         raise ConfigError.plain("--points is in the place of pictures and --rig: give one of them")
     again, findings = bench.check_points(part, bench.read_points(given.points), **_noise(given))
     rms = float(np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1))))
-    print(
+    show(
         f"{plural(len(again.missed_mm), 'point')}: missed by {rms:.2f} mm rms,"
         f" {np.sqrt(np.mean(again.expected_mm**2)):.2f} mm is to be expected"
     )
@@ -208,18 +209,18 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     with working("looking for the ends in the pictures"):
         found = bench.check_ends(given.ends, calibration, anew)
     if anew and not found.thermal:
-        print("no end in the thermal picture: it is not checked while the phantom is cold")
+        show("no end in the thermal picture: it is not checked while the phantom is cold")
         found = replace(found, thermal=None)
     decision = found.decision
-    print(f"{found.measured} of {found.ends} ends measured")
+    show(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
-        print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
+        show(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
     unwritten = _finish(given, None, partial(check_ends_page, found, decision))
     if decision.verdict is bench.Verdict.MET:
-        print("It still holds.")
+        show("It still holds.")
         return unwritten
     if decision.verdict is bench.Verdict.NOT_MET:
-        print("It no longer holds.")
+        show("It no longer holds.")
         return complain(decision.sentence, CODES.not_met)
     return complain(f"not decided: {decision.sentence}", CODES.inconclusive)
 
@@ -264,9 +265,9 @@ def _views_of(
             mirrored=request.mirrored,
         )
     for one in views.refused[:SHOWN]:
-        print(f"left out: {one.camera} {one.view}: {one.reason}")
+        show(f"left out: {one.camera} {one.view}: {one.reason}")
     if (more := len(views.refused) - SHOWN) > 0:
-        print(f"left out: {more} more")
+        show(f"left out: {more} more")
     paths = (*files, *(path for views_of in found.values() for path in views_of.values()))
     return views, paths, identity
 
@@ -284,7 +285,7 @@ def _finish(
     record, folder = bench.calibration_record(by=given.by, **known), getattr(given, "page", None)
     if part is not None:
         bench.write_calibration(part(record), given.out, command_line())
-        print(f"written: {given.out}")
+        show(f"written: {given.out}")
         folder = given.out.with_suffix(".page")
     if page is not None and folder:
         from bench.report.calibration import with_kind
@@ -295,7 +296,7 @@ def _finish(
             used = {"cameras", "arm"} if given.called == "calibrate world" else {"cameras"}
             made = with_kind(made, used, bench.load_rig(given.rig).rig.emulated)
         try:
-            print(f"page: {write_report(made, folder)}")
+            show(f"page: {write_report(made, folder)}")
         except OSError as error:
             why = refusal(error, "Name another place.")
             return complain(f"{folder}: the page can't be written: {why}", CODES.fault)
@@ -330,7 +331,7 @@ def _live(given: argparse.Namespace) -> dict[str, Any]:
 def board(given: argparse.Namespace) -> None:
     refuse_existing(given.pdf, replace=True, option="--pdf")
     write_synced(given.pdf, bench.board_pdf(bench.find_board(given.board)[0], given.paper))
-    print(f"written: {given.pdf}; print it at 100 % and measure the line at its foot")
+    show(f"written: {given.pdf}; print it at 100 % and measure the line at its foot")
 
 
 def export(given: argparse.Namespace) -> None:
@@ -340,7 +341,7 @@ def export(given: argparse.Namespace) -> None:
     else:
         write = bench.write_opencv if given.format == "opencv" else bench.write_bouguet
         write(part, given.out)
-    print(f"written: {given.out}")
+    show(f"written: {given.out}")
 
 
 def take_over(given: argparse.Namespace) -> None:
@@ -349,7 +350,7 @@ def take_over(given: argparse.Namespace) -> None:
         part = bench.makers_calibration(given.rig, by=given.by)
         said = "stated with standard deviations" if part.covariance else "WITHOUT any uncertainty"
         who = part.record.cameras["left"] if part.record else "unknown cameras"
-        print(f"the maker's calibration of {who}, {said}")
+        show(f"the maker's calibration of {who}, {said}")
     elif given.format is None:
         raise ConfigError.plain("which tool's files are they? Name it with --format")
     else:
@@ -365,18 +366,18 @@ def stage(given: argparse.Namespace) -> int:
     rig = bench.load_rig(given.rig)
     found = bench.calibrate_stage(rig, at_mm=given.at, **more, **_live(given))
     bench.write_registration(given.out, found)
-    print(f"{len(found.stations)} positions, touches good for {found.u_mm:.2f} mm along an axis")
+    show(f"{len(found.stations)} positions, touches good for {found.u_mm:.2f} mm along an axis")
     for fit in found.comparison.fits:
         held_out_mm = found.comparison.held_out_mm[fit.model]
         held_out = "too few positions to hold one out"
         if held_out_mm is not None:
             held_out = f"held out {held_out_mm:.2f} mm"
-        print(f"{fit.model}: residual {fit.fre_mm:.2f} mm rms, {held_out}")
-    print(f"expected residual of the rigid fit: {found.expected_fre_mm:.2f} mm")
+        show(f"{fit.model}: residual {fit.fre_mm:.2f} mm rms, {held_out}")
+    show(f"expected residual of the rigid fit: {found.expected_fre_mm:.2f} mm")
     for one in found.diagnostics:
         significant = ", SIGNIFICANT" if one.significant else ""
-        print(f"{one.name}: {one.value:+.5f} (u {one.u:.5f}){significant}")
-    print(
+        show(f"{one.name}: {one.value:+.5f} (u {one.u:.5f}){significant}")
+    show(
         f'Written: {given.out}. Name it in a script, beside which it lies: [truth] mode = "carry",'
         f' registration = "{given.out.name}"'
     )

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 import bench
-from bench.cli.arguments import CODES
+from bench.cli.arguments import CODES, say
 from bench.cli.terminal import working
 from textfiles.text import plural
 
@@ -37,22 +37,22 @@ def look_ahead(
         }
         return CODES.wrong_use if findings or done.room else CODES.met, found
     if named:
-        print(f"{script.path.stem}: {script.script.title}")
+        say(f"{script.path.stem}: {script.script.title}")
     for finding in findings[:SHOWN]:
-        print(f"{finding.trial}: {finding.kind}: {finding.text}")
+        say(f"{finding.trial}: {finding.kind}: {finding.text}")
     if (more := len(findings) - SHOWN) > 0:
-        print(f"and {more} more")
+        say(f"and {more} more")
     for what in done.unchecked:
-        print(f"not checked: {what}")
+        say(f"not checked: {what}")
     if done.gone_through is not None:
-        print(*_gone_through(done, done.gone_through), sep="\n")
+        say(*_gone_through(done, done.gone_through))
     many = f"{plural(done.trials, 'trial')} at {plural(done.poses, 'pose')}"
     if findings:
-        print(f"{many}: {plural(len(findings), 'problem')}. Nothing was moved.")
+        say(f"{many}: {plural(len(findings), 'problem')}. Nothing was moved.")
         return CODES.wrong_use, {}
     wrong = "a run is refused: the disk is too full" if done.room else "nothing wrong"
-    print(f"{many}: {wrong}. Nothing was moved.")
-    print(*wanted, sep="\n")
+    say(f"{many}: {wrong}. Nothing was moved.")
+    say(*wanted)
     return CODES.wrong_use if done.room else CODES.met, {}
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 from datetime import date
 
 import bench
-from bench.cli.arguments import CODES, refuse_existing
+from bench.cli.arguments import CODES, refuse_existing, say
 from bench.config import ConfigError, parse_config, read_text, write_file
 from bench.rig.finding import FoundInstrument, rig_text
 from bench.rig.loading import PLACES, TO_COPY
@@ -57,7 +57,7 @@ def init(given: argparse.Namespace) -> int:
     parse_config(given.out, text, Rig)
     write_file(given.out, text)
     for name in missing:
-        print(f"not found: {name}; its url is marked in the file")
+        say(f"not found: {name}; its url is marked in the file")
     print(f"Written: {given.out}. Next: teatbench check {in_command(given.out)}")
     return CODES.met
 
@@ -68,13 +68,13 @@ def _found(urls: list[str] | None) -> list[FoundInstrument]:
 
     def report(text: str) -> None:
         asked.append(text)
-        print(text, flush=True)
+        say(text)
 
     for one in bench.find_instruments(urls or (), report):
-        print(f"{one.url}: {one.kind}, {one.who}", flush=True)
+        say(f"{one.url}: {one.kind}, {one.who}")
         found.append(one)
     if not asked:
-        print("no serial port on this machine; --port names an address on the network")
+        say("no serial port on this machine; --port names an address on the network")
     return found
 
 
@@ -126,7 +126,7 @@ def _stage(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
         )
         scales = ask("How many microsteps per mm, or degree, has each, by its data sheet?", "")
         if not scales:  # a guess would move it wrongly
-            print(f"left out: {found.url}; a Zaber stage needs its microsteps per mm")
+            say(f"left out: {found.url}; a Zaber stage needs its microsteps per mm")
             return {}
         _figures("microsteps per mm", scales, "20997.4, 20997.4")
         named = [one.strip().replace(" ", ".") for one in devices.split(",")]

@@ -11,7 +11,14 @@ from contextlib import suppress
 from pathlib import Path
 
 import bench
-from bench.cli.arguments import CODES, complain, print_json, print_values, refuse_existing
+from bench.cli.arguments import (
+    CODES,
+    complain,
+    print_json,
+    print_values,
+    refuse_existing,
+    say,
+)
 from bench.cli.terminal import working
 from bench.files import write_synced
 from bench.rig.loading import TO_COPY
@@ -20,12 +27,12 @@ from textfiles.text import plural
 
 def check(given: argparse.Namespace) -> int:
     rig = bench.load_rig(given.rig)
-    print("".join(f"{note}\n" for note in bench.rig_notes(rig)), end="")
+    say(*bench.rig_notes(rig))
     code = CODES.wrong_use if rig.unfilled() else CODES.met
     for name, fault, lines in bench.check_rig(rig, given.capture):
         found = "not checked" if rig.unfilled(name) else "FAULT" if fault else "ok"
         code = CODES.fault if found == "FAULT" else code
-        print(f"{name}: {found}", *(f"  {line}" for line in lines), sep="\n")
+        say(f"{name}: {found}", *(f"  {line}" for line in lines))
     return code
 
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import bench
-from bench.cli.arguments import CODES, print_json
+from bench.cli.arguments import CODES, print_json, say
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError, all_of
@@ -101,10 +101,10 @@ def _run(
         codes.append(show_verdict(console, found))
         _summarize(given, found)
         if found.took:
-            print(found.took)
+            say(found.took)
     page = reports[-1].page if reports else None
     if queued:
-        print(queued)
+        say(queued)
         _summarize(given, queued)
         try:
             _, page = bench.write_queue_page(given.out)
@@ -205,7 +205,7 @@ def score(given: argparse.Namespace) -> int:
     code = show_verdict(console, found)
     _summarize(given, found)
     if found.unchecked:
-        print(f"Cameras {found.unchecked}.")
+        say(f"Cameras {found.unchecked}.")
     print(f"\n{score_table(found.record)}")
     return code
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bench
-from bench.cli.arguments import CODES, code_of, complain, print_json
+from bench.cli.arguments import CODES, code_of, complain, print_json, say
 from bench.cli.terminal import working
 from bench.config import ConfigError
 from textfiles.text import plural
@@ -46,7 +46,7 @@ def check(given: argparse.Namespace) -> int:
     with working("checking the record"):
         done = bench.check_record(given.run, given.digest)
     for finding in done.findings:
-        print(f"{finding.weight.value}: {finding.text}")
+        say(f"{finding.weight.value}: {finding.text}")
     print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
     if done.head.number:
         print(f"digest: {done.head.wall_digest}\ndigest without real time: {done.head.digest}")
@@ -54,7 +54,7 @@ def check(given: argparse.Namespace) -> int:
         print(f"digest before {plural(looks, 'look')} of 'compare': {done.unlooked.wall_digest}")
     if done.unchecked:
         return complain(done.unchecked, CODES.inconclusive)
-    print(done.sentence)
+    say(done.sentence)
     return CODES.met if done.whole else CODES.not_met
 
 
@@ -149,7 +149,7 @@ def control(given: argparse.Namespace) -> None:
         print("request accepted; see the run's terminal")
         return
     why = f"the run has not read it for {TAKEN_S:g} s: it is busy, or its process has ended."
-    print(f"request left; {why}")
+    say(f"request left; {why}")
 
 
 def runs(given: argparse.Namespace) -> None:

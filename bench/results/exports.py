@@ -15,6 +15,7 @@ from bench.files import write_together
 from bench.record.check import NOT_AS_WRITTEN, printed_chain
 from bench.record.looks import id_of
 from bench.record.reader import RunRecord
+from bench.results.doubts import DOUBTS_FACT
 from bench.results.status import RunStatus
 from bench.results.verdicts import Judgement, run_verdict
 from bench.scoring.decisions import Decision, Verdict
@@ -143,7 +144,7 @@ def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement
             for decision in judgement.decisions
         )
     )
-    if not status.decided:
+    if not status.decided or DOUBTS_FACT in run.facts:
         why = "\n".join((status.why, *status.unsafe))
         ended = "the run has a verdict"
         cases = [(who, name, "skipped", why, "") for who, name, *_ in cases]

@@ -56,7 +56,7 @@ def stopped_why(run: RunRecord, state: State, trials: str) -> str:
         return ""
     if state is State.RUNNING:
         return f"The run goes on: {trials}. Nothing is decided before its end."
-    guardian = f" {guardian_text(run.guardian)}" if run.guardian else ""
+    guardian = f" {_in_short(run.guardian)}" if run.guardian else ""
     if state is State.INTERRUPTED:
         return f"The bench died before the run was over; {trials} are kept.{guardian}"
     reason = _last_reason(run) or "no reason was recorded"
@@ -187,6 +187,13 @@ def _one(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[Verdict, str,
     return verdict, why, _next_action(verdict, [d for _, d in worst], judgements[0].of_bench)
 
 
+def _in_short(record: Mapping[str, Any]) -> str:
+    """The same without what stands in its own line, where the bench itself said NOT SAFE."""
+    if record["cause"] == "gave up" and not (record["standby"] or "handed_over" in record):
+        return f"The guardian did not reach the bath either, in {plural(record['tries'], 'try')}."
+    return guardian_text(record)
+
+
 def guardian_text(record: Mapping[str, Any]) -> str:
     """What happened to the bench and when, and whether the guardian reached standby."""
     when, why = record["wall_noticed"], record["why"]
@@ -209,7 +216,7 @@ def guardian_text(record: Mapping[str, Any]) -> str:
     if not record["standby"]:
         return (
             f"{what}. {BY_HAND['bath']}: THE GUARDIAN COULD NOT REACH THE BATH in"
-            f" {plural(record['tries'], 'try')} ({record['error']}).{more}"
+            f" {plural(record['tries'], 'try')} ({str(record['error']).rstrip('.')}).{more}"
         )
     more += " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""

@@ -251,17 +251,33 @@ def disk_mb(rig: LoadedRig, trials: int) -> float:
 
 def no_room(wanted_mb: float, folder: Path) -> str:
     """What is said where ``wanted_mb`` are not free at ``folder``, which need not be there yet."""
-    there = next(at for at in (folder.resolve(), *folder.resolve().parents) if at.exists())
+    there = _there(folder)
     if (free_mb := disk_usage(there).free / 1e6) >= wanted_mb:
         return ""
     free = f"{free_mb:.0f} MB are free in {there}"
     return f"NOT ENOUGH ROOM: {free}, and up to {wanted_mb:.0f} MB are needed. Make room."
 
 
-def refuse_no_room(rig: LoadedRig, trials: int, folder: Path) -> None:
-    """Raises ConfigError where so many trials may not fit in ``folder``."""
-    if room := no_room(disk_mb(rig, trials), folder):
-        raise ConfigError.plain(room)
+def refuse_no_room(rig: LoadedRig, trials: int, folder: Path, record: Path | None = None) -> None:
+    """Raises ConfigError where so many trials may not fit in ``folder``, and their frames once more
+    in ``record``.
+    """
+    run_mb = disk_mb(rig, trials)
+    wanted = {folder: run_mb}
+    if record:  # it has no pictures of detectors' stages
+        one_disk = _disk(record) == _disk(folder)
+        wanted |= {folder: 1.5 * run_mb} if one_disk else {record: 0.5 * run_mb}
+    for place, wanted_mb in wanted.items():
+        if room := no_room(wanted_mb, place):
+            raise ConfigError.plain(room)
+
+
+def _there(folder: Path) -> Path:
+    return next(at for at in (folder.resolve(), *folder.resolve().parents) if at.exists())
+
+
+def _disk(folder: Path) -> int:
+    return _there(folder).stat().st_dev
 
 
 def took(run: RunRecord) -> dict[str, float]:

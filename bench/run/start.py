@@ -41,7 +41,7 @@ from bench.rig.urls import is_emulated
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.engine import RECORD_FAULTS, Engine
-from bench.run.estimate import TimeEstimate, needs, read_durations, refuse_no_room
+from bench.run.estimate import TimeEstimate, needs, no_room, read_durations, refuse_no_room
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
 from bench.run.live import Live
@@ -140,7 +140,7 @@ def run_queue(
         locked(lock_path(rig), str(out.resolve()), events.warn),
         closing(OpenRig(rig, how, events)) as held,
     ):
-        refuse_no_room(rig, sum(len(script.planned) for script in scripts), out)
+        refuse_no_room(rig, sum(len(script.planned) for script in scripts), out, how.record)
         warned = health.warnings(out, rig.rig.name)
         note = QueueNote.begin(out, rig.rig.name, [one.name for one in scripts])
         for number, (script, detectors) in enumerate(zip(scripts, under_test, strict=True), 1):
@@ -502,6 +502,9 @@ def score_recording(
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
     calibration = read_calibration(recording.calibration_path, doubtful=True)
+    pictures = (path / "frames").rglob("*.png")  # kept once more, beside those of the stages
+    if room := no_room(2e-6 * sum(one.stat().st_size for one in pictures), out):
+        raise ConfigError.plain(room)
     doubts = doubts_of(recording, calibration)
     # a rig is refused by what it is, and a calibration that can't be does not say
     of_rig = None if doubts else calibration

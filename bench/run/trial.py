@@ -42,7 +42,7 @@ from bench.truth.registration import (
     registration_from_facts,
     write_registration,
 )
-from bench.truth.stage_registration import around, ends_of, register, stands_at
+from bench.truth.stage_registration import Registering, around, ends_of, register, stands_at
 from bench.truth.touching import (
     ASTRAY_MM,
     AstrayError,
@@ -99,7 +99,7 @@ def choose_truth(
         return TouchedTruth(toucher, lambda: None if stage is None else stands_at(stage))
     if stage is None or settings is None:
         raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
-    known = registration_from_facts(before.facts) if before else None
+    known, so_far = registration_from_facts(before.facts) if before else None, Registering()
 
     def report(kind: str, text: str) -> None:
         ctx.event(kind, text)
@@ -108,7 +108,7 @@ def choose_truth(
     return CarriedTruth(
         toucher,
         lambda: stands_at(stage),
-        lambda: known or _registration(ctx, stage, settings, toucher),
+        lambda: known or _registration(ctx, stage, settings, toucher, so_far),
         ctx.store,
         settled,
         report,
@@ -120,7 +120,11 @@ def choose_truth(
 
 
 def _registration(
-    ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher
+    ctx: RunContext,
+    stage: Stage,
+    settings: StageSettings,
+    toucher: Toucher,
+    so_far: Registering,
 ) -> Registration:
     """The script's registration, from its file or made now, as a fact of the run. Raises LimitError
     where the file's doesn't hold, DeviceError where the touches give none.
@@ -131,19 +135,26 @@ def _registration(
     if known and (why := known.outdated(ctx.devices.arm.identity.serial_number, made)):
         what = f"its registration {ctx.script.script.truth.file} {why}"
         raise LimitError("stage", what, hint="Make it anew: 'teatbench calibrate stage'")
-    found = known or _made(ctx, stage, settings, toucher)
+    found = known or _made(ctx, stage, settings, toucher, so_far)
     for key, value in as_facts(found).items():
         ctx.store.fact(key, value)
     return found
 
 
-def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher) -> Registration:
+def _made(
+    ctx: RunContext,
+    stage: Stage,
+    settings: StageSettings,
+    toucher: Toucher,
+    so_far: Registering,
+) -> Registration:
     planned, table = ctx.script.planned, ctx.script.script.truth
     phantom, teat = planned[0].phantom, table.registration_teat
     if teat > (there := len(phantom.teats)):
         what = f"registration_teat = {teat}, but the first trial's phantom has {there} teats"
         raise DeviceError("truth", what, hint="Name one of them in the script's [truth].")
-    ctx.ask(planned[0].arrangement(settings.axes))
+    if not (so_far.stations or so_far.taken):  # else it stands there, and is not to be touched
+        ctx.ask(planned[0].arrangement(settings.axes))
     poses = tuple(PlatePose(x, y) for x, y in table.registration_at_mm or ())
     poses = poses or around(shared(trial.pose, settings.axes)[0] for trial in planned)
 
@@ -156,6 +167,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
             stage,
             settings,
             toucher,
+            so_far,
             phantom,
             poses,
             teat=teat,

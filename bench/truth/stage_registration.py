@@ -5,14 +5,14 @@ read back.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
 
 from bench.rig.model import Stage as StageSettings
 from bench.truth.registration import Registration, StageAccuracy, Station
-from bench.truth.touching import Ends, Toucher
+from bench.truth.touching import Ends, EndTouches, Toucher
 from bench.truth.uncertainty import Triple, triple
 from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError
@@ -43,10 +43,19 @@ def around(poses: Iterable[PlatePose], least_mm: float = 150.0) -> tuple[PlatePo
     return tuple(PlatePose(float(x), float(y)) for x, y in corners)
 
 
+@dataclass(slots=True)
+class Registering:
+    """What a registration has so far: its stations, and the touches of the next one."""
+
+    stations: list[Station] = field(default_factory=list)
+    taken: EndTouches = field(default_factory=list)
+
+
 def register(
     stage: Stage,
     settings: StageSettings,
     toucher: Toucher,
+    so_far: Registering,
     phantom: Phantom,
     poses: Sequence[PlatePose],
     *,
@@ -57,15 +66,18 @@ def register(
     report: Callable[[str], None],
 ) -> Registration:
     """Touch ``teat`` of ``phantom`` (as at its reference place) at each of ``poses``; ``u_mm`` is
-    that of one end's mean. Raises RegistrationError, and as stage, operator and arm do.
+    that of one end's mean. ``so_far`` gets what is touched, and what is in it is not touched again,
+    where an instrument was lost. Raises RegistrationError, and as stage, operator and arm do.
     """
-    stations = []
-    for number, pose in enumerate(poses, 1):
+    stations = so_far.stations
+    for number, pose in list(enumerate(poses, 1))[len(stations) :]:
         there = replace(pose, yaw_rad=phantom.pose.yaw_rad)
         report(f"registering the stage: position {number} of {len(poses)}")
         stage.move_to(**settings.machine(there), feed_mm_min=settings.feed_mm_per_min)
-        point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
+        ends = ends_of(phantom.moved(there), known=False)
+        point, _ = toucher.touch_one(teat, ends, so_far.taken)
         stations.append(Station(stands_at(stage), point.xyz_mm, u_mm))
+        so_far.taken.clear()
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
     stated = StageAccuracy.model_validate(settings, from_attributes=True)
     return Registration(made, serial_number, identity, teat, tuple(stations), stated)

@@ -180,9 +180,11 @@ class Toucher:
         self.ask(Release())
         return list(done.values()), rows
 
-    def touch_one(self, teat: int, ends: Ends) -> tuple[TrueEnd, list[Row]]:
-        """The same for one end alone."""
-        point, rows = self._touch_end(teat, ends, {}, [])
+    def touch_one(
+        self, teat: int, ends: Ends, taken: EndTouches | None = None
+    ) -> tuple[TrueEnd, list[Row]]:
+        """The same for one end alone; ``taken`` gets its touches; those in it count."""
+        point, rows = self._touch_end(teat, ends, {}, [] if taken is None else taken)
         self.ask(Release())
         return point, rows
 

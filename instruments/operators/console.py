@@ -12,7 +12,6 @@ import io
 import os
 import select
 import sys
-import textwrap
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -22,6 +21,7 @@ from instruments.clock import Clock
 from instruments.operators import operator as op
 from instruments.operators.mailbox import BENCH, TERMINAL, Mailbox
 from instruments.operators.prompted import PromptedOperator
+from textfiles.text import wrapped
 
 CTRL_C, CTRL_Z, BACKSPACE, FUNCTION_KEYS = "\x03", "\x1a", "\b", "\x00\xe0"
 CHUNK = 1024
@@ -113,7 +113,6 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
 
 TURN_S = 0.05  # between two looks at keyboard and interlocks
 REMIND_S = 120.0
-LEAST_COLUMNS = 20  # a pseudo-terminal whose size nobody has set has 0
 GONE = "the terminal gives no more input"
 WHY = "Why? (a few words for the record; Enter alone: don't skip): "
 REQUESTS = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
@@ -160,7 +159,7 @@ class Console(PromptedOperator):
     def say(self, text: str) -> None:
         """Show ``text``. Raises OperatorAbort where the terminal has gone."""
         with self._screen():
-            self._write(text + "\n")
+            self._write(wrapped(f"{text}\n", self._out))
 
     def answer(self, prompt: op.Prompt, check: Callable[[], None]) -> str:
         """As the base, and what the pedals raise."""
@@ -170,7 +169,7 @@ class Console(PromptedOperator):
                 if line.strip().lower() in op.ABORT:
                     raise prompt.aborted
             first = "" if prompt.press else "\n"
-            self._write(self._wrapped(f"{first}{prompt.head}{prompt.text}\n"))
+            self._write(wrapped(f"{first}{prompt.head}{prompt.text}\n", self._out))
             if self._mailbox:
                 self._mailbox.open(prompt)
             try:
@@ -181,7 +180,7 @@ class Console(PromptedOperator):
                     with contextlib.suppress(op.OperatorAbort):
                         # all of it is said where it is handled
                         what = ended.partition(" (")[0].partition(". ")[0]
-                        self._write(self._wrapped(f"\nNo answer is needed any more: {what}\n"))
+                        self._write(wrapped(f"\nNo answer is needed any more: {what}\n", self._out))
                 if self._mailbox:
                     self._mailbox.close(ended, BENCH)
                 raise
@@ -199,12 +198,12 @@ class Console(PromptedOperator):
         while True:
             words, key = key or self._line(keys, check, pedal=prompt.pedal), ""
             if words.strip() == op.EXPLAIN:
-                self._write(self._wrapped(f"{prompt.explained()}\n"))
+                self._write(wrapped(f"{prompt.explained()}\n", self._out))
                 continue
             try:
                 op.understood(words, prompt)
             except op.NotUnderstoodError as error:
-                self._write(self._wrapped(f"{error}\n"))
+                self._write(wrapped(f"{error}\n", self._out))
             except op.OperatorSkip as skip:
                 if skip.reason:
                     return words
@@ -221,7 +220,7 @@ class Console(PromptedOperator):
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
         """A line from terminal or browser, or an empty one for a pedal; reminds at intervals."""
-        asked_s, question = self._clock.now(), self._wrapped(question)
+        asked_s, question = self._clock.now(), wrapped(question, self._out)
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None
         remind_s = asked_s + self._remind_s
@@ -235,7 +234,7 @@ class Console(PromptedOperator):
             if self._clock.now() >= remind_s:
                 remind_s += self._remind_s
                 waited = f"Still waiting for you, {self._clock.now() - asked_s:.0f} s so far"
-                patience = self._wrapped(f"{waited}; nothing is lost by taking longer.")
+                patience = wrapped(f"{waited}; nothing is lost by taking longer.", self._out)
                 self._write(f"\n{patience}\n{question}")
         if not self._terminal:  # no Enter has ended the question's row
             self._write("\n")
@@ -253,22 +252,6 @@ class Console(PromptedOperator):
             self._listening = False
             return None
         return line
-
-    def _wrapped(self, text: str) -> str:
-        """Broken between words where the terminal ends; as it is where ``out`` is none."""
-        columns = 0
-        with contextlib.suppress(OSError, ValueError, AttributeError):
-            columns = os.get_terminal_size(self._out.fileno()).columns
-        if columns < LEAST_COLUMNS:
-            return text
-        wrap = textwrap.TextWrapper(
-            columns - 1, break_on_hyphens=False, break_long_words=False, drop_whitespace=True
-        )
-        lines = []
-        for line in text.split("\n"):
-            end = " " * (len(line) - len(line.rstrip()))
-            lines.append(("\n".join(wrap.wrap(line)) + end) if len(line) >= columns else line)
-        return "\n".join(lines)
 
     def _write(self, text: str) -> None:
         try:

@@ -170,7 +170,7 @@ function page() {
     card({ id: "problem", className: "bad", hidden: true, role: "alert" }),
     card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("ul", { id: "unsafe", className: "next" }), make("p", { id: "tripped", className: "big bad" }), make("p", { id: "step", className: "step" }), make("ul", { id: "next", className: "next" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
     card({ id: "bath", className: "third" }, heading("Bath"), make("p", { id: "temperature", className: "huge" }, "–"), make("p", { id: "gate", className: "soft" })),
-    card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { className: "soft" }, "Line: the bath. Dashed: its set point. Shaded: the band.")),
+    card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { id: "legend", className: "soft" })),
     card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
     card({ id: "seen", hidden: true }, heading("Last frames"), make("div", { id: "frames", className: "frames" })),
     card({ id: "result", hidden: true }, heading("Last trial with its truth"), make("div", { id: "scored" })),
@@ -242,6 +242,8 @@ function stands() {
 }
 function live() {
   const now = run.live;
+  run.band_k = now?.bath.band_k ?? run.band_k; // a run that has ended has none
+  byId("legend").textContent = `Line: the bath. Dashed: its set point.${run.band_k ? " Shaded: the band." : ""}`;
   stands();
   byId("armed").parentElement.hidden = !now;
   if (!now) {
@@ -252,7 +254,6 @@ function live() {
     return;
   }
   const bath = now.bath, said = run.status.instruments.find((one) => one.name === "bath");
-  run.band_k = bath.band_k;
   byId("temperature").textContent = number(bath.temp_c, "°C");
   const steady = bath.state === "stable", old = run.status.age_s >= SILENT_S; // its bench hangs
   byId("temperature").className = said?.trouble ? "huge bad" : old ? "huge soft" : steady ? "huge good" : "huge warn";

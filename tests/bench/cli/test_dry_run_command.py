@@ -118,7 +118,19 @@ def test_a_run_without_room_is_refused_before_it_starts_in_the_words_of_its_dry_
     sentence = f"NOT ENOUGH ROOM: {wanted_mb:.0f} MB are free in {tmp_path.resolve()}, and up to"
     assert sentence in said(2, "run {} --out {} --rig {}", one(tmp_path)[0], out, rig).err
     assert sentence in said(2, f"{DRY} --rig {{}}", one(tmp_path)[0], out, rig).out
+    # there is room for the run, and none for the recording beside it, or elsewhere
+    monkeypatch.setattr(estimate, "disk_usage", lambda _: SimpleNamespace(free=1.4e6 * wanted_mb))
+    command, recording = "run {} --out {} --rig {} --record {}", tmp_path / "recording"
+    beside = said(2, command, one(tmp_path)[0], out, rig, recording).err
+    assert f"up to {1.5 * wanted_mb:.0f} MB are needed" in beside
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    free = {tmp_path: 1.1e6 * wanted_mb, elsewhere: 0.4e6 * wanted_mb}
+    monkeypatch.setattr(estimate, "disk_usage", lambda at: SimpleNamespace(free=free[at]))
+    monkeypatch.setattr(estimate, "_disk", lambda folder: folder == elsewhere)
+    other = said(2, command, one(tmp_path)[0], out, rig, elsewhere).err
+    assert f"MB are free in {elsewhere}, and up to {0.5 * wanted_mb:.0f} MB" in other
     assert not out.parent.exists()
+    assert not recording.exists()
 
 
 FAR = ', "pose": {"x_mm": 170.0}'

@@ -10,9 +10,11 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from bench.run import estimate
 from tests.bench.commands import Said, full
 from tests.bench.small_run import KEPT
 
@@ -72,6 +74,16 @@ def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     assert re.search(rf"{re.escape(str(there))}\S*: .*File too large\. Make room\.", err), err
     left = [one for one in there.rglob("*") if one.is_dir() or one.stat().st_size]
     assert not left
+
+
+def test_a_recording_that_would_not_fit_is_refused_before_it_is_scored(
+    tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures_mb = 1e-6 * sum(one.stat().st_size for one in (KEPT / "frames").rglob("*.png"))
+    monkeypatch.setattr(estimate, "disk_usage", lambda _: SimpleNamespace(free=1.9e6 * pictures_mb))
+    err = said(2, "score {} --detector thesis --out {}", KEPT, tmp_path / "runs").err
+    assert f"MB are free in {tmp_path}, and up to {2.0 * pictures_mb:.0f} MB are needed" in err
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a full device")

@@ -171,3 +171,33 @@ def test_no_word_of_a_table_is_broken(columns: int) -> None:
     said = written.getvalue()
     assert {word for name in names for word in name.split()} <= {*re.split(r"[\s:;]+", said)}
     assert all(len(line) <= columns for line in said.splitlines())
+
+
+@pytest.mark.slow
+def test_no_word_is_broken_at_a_narrow_terminal(tmp_path: Path, said: Said) -> None:
+    """What a rig lacks, and an arm that is verified."""
+    init = "init --yes --port socket://127.0.0.1:1 --out {}"
+    said(0, init, unfilled := tmp_path / "rig.toml")
+    written = said(2, "check {}", unfilled).out
+    with at_terminal(["check", str(unfilled)], 44, tmp_path) as terminal:
+        assert terminal.code() == 2
+    shown = [word for row in terminal.screen.rows for word in row.split()]
+    long = [word for word in written.split() if len(word) < 44]
+    assert [word for word in long if word not in shown] == []
+    verify = [
+        "arm",
+        "verify",
+        "--port",
+        "emulator:",
+        "--homed",
+        "--distances",
+        "1",
+        "--touches",
+        "5",
+        "--out",
+    ]
+    with at_terminal([*verify, str(tmp_path / "arm.toml")], 44, tmp_path) as terminal:
+        terminal.press_enter_to_the_end()
+    seen = " ".join(word for row in terminal.screen.rows for word in row.split())
+    assert "degrees of freedom); --accuracy-mm 0.23 is" in seen
+    assert "no length is measured, and the arm can't be verified whole." in seen

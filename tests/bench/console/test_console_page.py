@@ -131,12 +131,15 @@ def test_a_run_by_clicks_and_an_abort(tmp_path: Path) -> None:
         page.locator("#abort").click()
         process.wait()
         expect(page.locator("#ending")).to_contain_text("Resume this run", timeout=SOON_MS)
+        expect(page.locator("#legend")).to_contain_text("Shaded: the band.")  # as it was watched
         page.locator("h1 a").click()  # all runs
         history = page.locator(".run")
         expect(history.locator(".thumbnails img")).to_have_count(3, timeout=SOON_MS)
         expect(history).to_contain_text("aborted: 1 of 3 trials")
         expect(history.get_by_role("button", name="Resume")).to_be_visible()
         assert not violations(page)
+        page.get_by_role("link", name=folder.name).click()
+        expect(page.locator("#legend")).to_have_text("Line: the bath. Dashed: its set point.")
         assert page.title() == "teatbench console"
         ours = [f"http://127.0.0.1:{one.port}/", "blob:", "data:"]
         assert not [url for url in seen.requests if not url.startswith(tuple(ours))]

@@ -14,9 +14,10 @@ import pytest
 from bench.config import ConfigError
 from bench.record.check import Weight, check_record
 from bench.record.reader import RunRecord, read_run
+from bench.record.state import State
 from bench.record.writer import Store
 from bench.report.bath import _care_parts
-from bench.results.headline import guardian_text
+from bench.results.headline import guardian_text, stopped_why
 from bench.run.resume import keep_guardians
 from instruments.clock import wall_time
 from tests.bench.small_run import KEPT
@@ -88,3 +89,13 @@ def test_one_that_is_no_record_is_named(run: Path) -> None:
     with pytest.raises(ConfigError, match=f"{name} can't be read"):
         read_run(run)
     assert not check_record(run).whole
+
+
+def test_a_bath_that_the_guardian_did_not_reach_either_is_no_second_paragraph(run: Path) -> None:
+    """What to do at it stands in a line of its own, first."""
+    gave_up = acted(cause="gave up", standby=False, tries=7, error="the link broke. Check it.")
+    write(run, "guardian-1.json", gave_up)
+    why = stopped_why(read_run(run), State.TRIPPED, "0 of 3 trials")
+    assert why.endswith(" The guardian did not reach the bath either, in 7 tries.")
+    assert "SWITCH OFF" not in why
+    assert "THE BATH in 7 tries (the link broke. Check it)." in guardian_text(gave_up)

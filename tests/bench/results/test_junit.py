@@ -15,6 +15,7 @@ from junitparser import Error, JUnitXml, Skipped
 
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
+from bench.results.doubts import DOUBTS_FACT
 from bench.results.exports import write_exports
 from bench.results.status import INSTRUMENTS_FACT, status_of
 from bench.results.verdicts import Judgement
@@ -104,6 +105,13 @@ ENDINGS = {
     "damaged": (
         RunRecord(Path("run"), FACTS | {"ending": "finished"}, damage=(CHAINED,)),
         f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {CHAINED}.",
+    ),
+    "a recording of another calibration": (
+        RunRecord(Path("run"), FACTS | {"ending": "finished", DOUBTS_FACT: ["the rows differ"]}),
+        (
+            "The calibration can't be that of these pictures, so nothing is charged to any"
+            " detector: the rows differ."
+        ),
     ),
 }
 
