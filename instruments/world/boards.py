@@ -258,7 +258,8 @@ def _lattices(
             across = _product(lattice, _cubic(lattice.shape[1], width).T)
             smooth = _product(_cubic(lattice.shape[0], height), across)
         else:
-            smooth = cv2.resize(lattice, (width, height), interpolation=cv2.INTER_CUBIC)
+            blown = cv2.resize(lattice, (width, height), interpolation=cv2.INTER_CUBIC)
+            smooth = np.asarray(blown, dtype=np.float32)
         if cloth is None:
             cloth = np.asarray(smooth * np.float32(weight), dtype=np.float32)
         else:

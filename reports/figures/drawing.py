@@ -125,7 +125,7 @@ class _Canvas(FigureCanvasSVG):
     @staticmethod
     @cache
     def get_renderer() -> RendererSVG:
-        return RendererSVG(0, 0, io.StringIO())
+        return RendererSVG(0, 0, io.StringIO())  # type: ignore[no-untyped-call]
 
 
 def draw(plot: Plot) -> str:
