@@ -341,6 +341,7 @@ def environment() -> Environment:
     return made
 
 
+@lru_cache(maxsize=8)  # files of trials have style and script in common
 def policy_hash(text: str) -> str:
     """How a content security policy names a style sheet or script."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"

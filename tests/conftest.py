@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import faulthandler
 import gc
 import os
 import signal
@@ -109,6 +110,17 @@ def pytest_collection_finish() -> None:
     # at their end extension modules look whether anything of theirs is left; pytest walks the rest
     # five times before
     atexit.register(gc.unfreeze)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """What ends a worker with a test that no exception ends leaves those alone to which their mark
+    or the command line gives more time.
+    """
+    mark = item.get_closest_marker("timeout")
+    given_s = float(mark.args[0] if mark else item.config.getoption("timeout", None) or 0.0)
+    if given_s > float(item.config.getini("faulthandler_timeout")):
+        faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.hookimpl(wrapper=True)

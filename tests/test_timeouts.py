@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -25,6 +26,7 @@ def run_tests(folder: Path, text: str, *options: str) -> str:
         encoding="utf-8",
         check=False,
         cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     return done.stdout + done.stderr
 
@@ -60,3 +62,16 @@ def test_deaf():
     )
     assert "crashed while running 'test_slow.py::test_deaf'" in printed, printed
     assert "in test_deaf" in printed
+
+
+def test_a_test_with_more_time_of_its_own_has_it(tmp_path: Path) -> None:
+    text = """
+import time
+import pytest
+
+@pytest.mark.timeout(60)
+def test_long():
+    time.sleep(3)
+"""
+    watch = ("-o", "faulthandler_timeout=1")
+    assert "1 passed" in run_tests(tmp_path, text, *watch, "-p", "tests.conftest")

@@ -132,7 +132,7 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
         (i, j): d
         for j, b in enumerate(truth)
         for i, a in enumerate(found)
-        if abs(a[0] - b[0]) <= gate_mm and (d := dist(a, b)) <= gate_mm  # most are far in x
+        if -gate_mm <= a[0] - b[0] <= gate_mm and (d := dist(a, b)) <= gate_mm  # most: far in x
     }
     answers = {j: i for i, j in within}  # in order of truth, as the pairs were looked at
     if not len(set(answers.values())) == len(answers) == len(within):  # they contend

@@ -232,9 +232,11 @@ class Pool:
 
     def _poses_where(self, holds: Callable[[SceneScore], bool | None]) -> Rate:
         """Poses that hold in all repeats, of the poses; scenes with None are left out."""
-        held = [(pose, holds(s)) for pose, s in zip(self.poses, self._measured, strict=False)]
-        known = [(pose, of) for pose, of in held if of is not None]
-        return pose_successes([pose for pose, _ in known], [of for _, of in known])
+        held = [holds(score) for score in self._measured]
+        known = [of for of in held if of is not None]
+        return pose_successes(
+            [pose for pose, of in zip(self.poses, held, strict=False) if of is not None], known
+        )
 
     @property
     def uncertain(self) -> bool:

@@ -4,6 +4,7 @@ flatness, missing rows.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -25,19 +26,16 @@ def edge_blur_px(picture: NDArray[np.uint8]) -> float | None:
     None without edges. After a further blur a the gradient is proportional to 1 / sqrt(s^2 + a^2),
     so that two gradients give s (Zhuo and Sim, Pattern Recognition 44, 2011, eq. 6).
     """
-    fine, coarse = (_gradient(picture, sigma) for sigma in (FINE_PX, COARSE_PX))
-    # without the blur's own border
-    inner, wide = (gradient[8:-8, 8:-8].reshape(-1) for gradient in (fine, coarse))
-    if inner.size > LARGE_PX:  # a sample of a large picture says the same, if it meets every column
-        stride = next((step for step in STRIDES if (picture.shape[1] - 16) % step), 1)
-        inner, wide = np.ascontiguousarray(inner[::stride]), wide[::stride]
-    if inner.size == 0:
+    light, at = picture.astype(np.float32), _inner_places(picture.shape)
+    if at.size == 0:
         return None
+    inner = _gradients(light, FINE_PX, at)
     rank = inner.size - max(1, int(STRONGEST * inner.size))
     edges = inner >= max(float(np.partition(inner, rank)[rank]), LEAST_GRADIENT_DN)
     if np.count_nonzero(edges) < 16:
         return None
-    ratio2 = float(np.median(inner[edges] / np.maximum(wide[edges], 1e-6))) ** 2
+    wide = _gradients(light, COARSE_PX, at[edges])
+    ratio2 = float(np.median(inner[edges] / np.maximum(wide, 1e-6))) ** 2
     if ratio2 > NOISE_RATIO2:
         return None
     if ratio2 <= 1.0:
@@ -46,10 +44,24 @@ def edge_blur_px(picture: NDArray[np.uint8]) -> float | None:
     return float(np.sqrt(max(0.0, (coarse2 - ratio2 * fine2) / (ratio2 - 1.0))))
 
 
-def _gradient(picture: NDArray[np.uint8], sigma: float) -> NDArray[np.float32]:
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), sigma)
-    x, y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=1, scale=0.5) for order in ((1, 0), (0, 1)))
-    return np.asarray(cv2.magnitude(x, y), dtype=np.float32)
+@lru_cache(maxsize=4)  # cameras are few
+def _inner_places(shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Pixels without the blur's own border, by their numbers in the picture."""
+    inner = np.arange(shape[0] * shape[1]).reshape(shape)[8:-8, 8:-8].reshape(-1)
+    if inner.size > LARGE_PX:  # a sample of a large picture says the same, if it meets every column
+        stride = next((step for step in STRIDES if (shape[1] - 16) % step), 1)
+        inner = np.ascontiguousarray(inner[::stride])
+    inner.flags.writeable = False
+    return inner
+
+
+def _gradients(
+    light: NDArray[np.float32], sigma: float, at: NDArray[np.intp]
+) -> NDArray[np.float32]:
+    """Of the picture after a blur, at the pixels ``at``."""
+    smooth, wide = cv2.GaussianBlur(light, (0, 0), sigma).reshape(-1), light.shape[1]
+    x, y = (np.float32(0.5) * (smooth[at + step] - smooth[at - step]) for step in (1, wide))
+    return np.asarray(cv2.magnitude(x, y), dtype=np.float32).reshape(-1)
 
 
 def level_dn(picture: NDArray[np.uint8], share: float) -> int:

@@ -9,9 +9,9 @@ packet's number.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -335,13 +335,10 @@ class ArmEmulator:
         if command & (wire.MARK | wire.CONFIGURE | wire.UNUSED):
             return b""
         self.packets += 1
-        ticks = (
-            int(self._clock.now() / wire.TICK_S) % wire.TICK_MODULUS
-            if command & wire.TIME_STAMP
-            else None
-        )
-        analogs = (0,) * wire.analog_count(command)  # nothing is plugged in
-        counts = (*look.counts, 0)[: wire.encoder_count(command)]
+        encoders, channels, stamped = wire.PARTS[command]
+        ticks = int(self._clock.now() / wire.TICK_S) % wire.TICK_MODULUS if stamped else None
+        analogs = (0,) * channels  # nothing is plugged in
+        counts = (*look.counts, 0)[:encoders]
         buttons = look.buttons & self._button_mask
         return wire.encode_packet(Packet(command, buttons, counts, ticks, analogs))
 
@@ -438,7 +435,12 @@ class ArmEmulator:
         before = self._stream
         take, damage = self._take, self.faults.damage
         data = self.faults.mislay(data)
-        self._send(connection, lambda: b"".join([damage(take(byte, rate)) for byte in data]))
+        try:
+            answer = b"".join([damage(take(byte, rate)) for byte in data])
+        except OutOfReachError as error:
+            self._let_go(connection, error)
+        else:
+            self._put(connection, answer)
         stream = self._stream
         if stream is not None and stream is not before:
             self._run(stream, connection)
@@ -448,17 +450,18 @@ class ArmEmulator:
         self._runs += 1
         run, due_s = self._runs, self._clock.now() + stream.period_s
 
-        def packet() -> bytes:
-            look = self._look()
-            if not stream.fires(look):
-                return b""
-            return self.faults.damage(self._packet(stream.command, look))
-
         def tick() -> None:
             nonlocal due_s
             if self._stream is not stream or self._runs != run:
                 return
-            self._send(connection, packet)
+            try:
+                look = self._look()
+            except OutOfReachError as error:
+                self._let_go(connection, error)
+            else:
+                if stream.fires(look):
+                    packet = self._packet(stream.command, look)
+                    self._put(connection, self.faults.damage(packet))
             now = self._clock.now()
             due_s = max(due_s + stream.period_s, now - CATCH_UP_S)
             connection.after(max(0.0, due_s - now, connection.busy_s() - stream.period_s), tick)
@@ -467,28 +470,26 @@ class ArmEmulator:
 
     # Adapter and cable
 
-    def _send(self, connection: Connection, answer: Callable[[], bytes]) -> None:
-        try:
-            self._put(connection, answer())
-        except OutOfReachError as error:  # no position is better than a wrong one
-            self.unreachable = error
-            connection.hang_up()
+    def _let_go(self, connection: Connection, error: OutOfReachError) -> None:
+        """No position is better than a wrong one."""
+        self.unreachable = error
+        connection.hang_up()
 
     def _put(self, connection: Connection, data: bytes) -> None:
         """As late as the adapter is slow, in order, and up to where the cable breaks."""
         data, broken = self.faults.cut(data)
         if not data and not broken:
             return
-        now = self._clock.now()
-        late_s = self.faults.amount_now(ArmFault.SLOW_ADAPTER)
-        self._sent_until_s = max(self._sent_until_s, now + late_s)
+        late_s, now = self.faults.amount_now(ArmFault.SLOW_ADAPTER), self._clock.now()
+        arrives_s = max(self._sent_until_s, now + late_s)
+        if arrives_s <= now:
+            self._arrive(connection, data, broken)
+            return
+        self._sent_until_s = arrives_s
+        connection.after(arrives_s - now, partial(self._arrive, connection, data, broken))
 
-        def arrive() -> None:
-            connection.send(data)
-            if broken:
-                connection.hang_up()
-
-        if self._sent_until_s > now:
-            connection.after(self._sent_until_s - now, arrive)
-        else:
-            arrive()
+    @staticmethod
+    def _arrive(connection: Connection, data: bytes, broken: bool) -> None:
+        connection.send(data)
+        if broken:
+            connection.hang_up()

@@ -106,7 +106,7 @@ class Faults:
 
     def amount_now(self, fault: ArmFault) -> float:
         """As ``amount`` where the fault happens now, as by ``strikes``; else 0."""
-        return self._amounts[fault] if self.strikes(fault) else 0.0
+        return self._amounts[fault] if self._left and self.strikes(fault) else 0.0
 
     def damage(self, answer: bytes) -> bytes:
         """One answer as the host gets it; the place is chance, the first byte is only ever lost."""
@@ -127,7 +127,7 @@ class Faults:
 
     def mislay(self, question: bytes) -> bytes:
         """What came from the host, not empty, less a byte that got lost on the way."""
-        if not self.strikes(ArmFault.LOST_QUESTION):
+        if not self._left or not self.strikes(ArmFault.LOST_QUESTION):
             return question
         lost = int(self._chance().integers(0, len(question)))
         return question[:lost] + question[lost + 1 :]
@@ -138,7 +138,7 @@ class Faults:
 
     def cut(self, data: bytes) -> tuple[bytes, bool]:
         """As much of ``data`` as passes, and whether the cable breaks behind it."""
-        if not self.on(ArmFault.DISCONNECT) or not data:
+        if not self._left or not self.on(ArmFault.DISCONNECT) or not data:
             return data, False
         passes = self._amounts[ArmFault.DISCONNECT]
         if len(data) <= passes:

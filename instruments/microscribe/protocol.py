@@ -155,12 +155,17 @@ def payload_length(command: int) -> int:
 
 
 _LENGTHS = tuple(map(payload_length, range(64)))
+# counts and analogs, and whether there is a time stamp, of each data command
+PARTS = tuple(
+    (encoder_count(command), analog_count(command), bool(command & TIME_STAMP))
+    for command in range(64)
+)
 
 
 def encode_packet(packet: Packet) -> bytes:
     """Header and payload. Raises WireError when the packet doesn't fit its command."""
     command, buttons, counts, ticks, analogs = packet
-    wanted = encoder_count(command), analog_count(command), bool(command & TIME_STAMP)
+    wanted = PARTS[command & 0x3F]
     if (len(counts), len(analogs), ticks is not None) != wanted:
         raise WireError(
             f"a packet for command {command:02X} has {wanted[0]} counts, {wanted[1]} analogs, time"

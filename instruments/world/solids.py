@@ -226,16 +226,25 @@ def _meet_block(
                 rays = np.stack([x[at], y[at], np.ones(len(at))])
                 there, outward, found, keep = solve(solids, which[at], rays, below)
                 hit[at] = found
-                depth[at[keep]], normal[:, at[keep]] = there[keep], outward[:, keep]
+                kept = at[keep]
+                depth[kept] = there[keep]
+                for row, new in zip(normal, outward, strict=True):
+                    row[kept] = new[keep]
     normal /= np.sqrt(dot(normal, normal))
     return depth, normal, hit
 
 
-Met = tuple[Floats, Floats, Bools, Bools]  # depth, outward normal, truly hit, to be kept
+# depth, outward normal, truly hit, to be kept
+Met = tuple[Floats, Floats, Bools, Bools | slice]
+
+
+def _each(vectors: Floats, which: Ints) -> Floats:
+    """The vectors (k, 3) of these solids, (3, n): row by row in a third of the time of all."""
+    return np.stack([row[which] for row in vectors.T])
 
 
 def _intersect_ball(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
-    centre = (solids.a if below else solids.b)[which].T
+    centre = _each(solids.a if below else solids.b, which)
     radius = (solids.radius_a if below else solids.radius_b)[which]
     qa = dot(rays, rays)
     middle = dot(rays, centre) / qa
@@ -243,13 +252,13 @@ def _intersect_ball(solids: Solids, which: Ints, rays: Floats, below: bool) -> M
     foot = middle * rays - centre
     under = radius * radius - dot(foot, foot)
     depth = middle - np.sqrt(np.maximum(under, 0.0) / qa)
-    return depth, depth * rays - centre, under >= 0.0, np.ones_like(under, dtype=np.bool_)
+    return depth, depth * rays - centre, under >= 0.0, slice(None)
 
 
 def _intersect_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
-    centre = (solids.a if below else solids.b)[which].T
+    centre = _each(solids.a if below else solids.b, which)
     radius = (solids.radius_a if below else solids.radius_b)[which]
-    outward = solids.axis[which].T * (-1.0 if below else 1.0)
+    outward = _each(solids.axis, which) * (-1.0 if below else 1.0)
     towards = dot(rays, outward)
     facing = towards < -1e-9
     depth = dot(centre, outward) / np.where(facing, towards, -1.0)

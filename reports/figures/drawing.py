@@ -13,7 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
-from functools import wraps
+from functools import cache, wraps
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, ParamSpec
@@ -22,7 +22,7 @@ import numpy as np
 from matplotlib import style
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
@@ -119,6 +119,15 @@ def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
     return svg
 
 
+class _Canvas(FigureCanvasSVG):
+    """All figures measure their text with one renderer, which keeps what it has measured."""
+
+    @staticmethod
+    @cache
+    def get_renderer() -> RendererSVG:
+        return RendererSVG(0, 0, io.StringIO())  # type: ignore[no-untyped-call]
+
+
 def draw(plot: Plot) -> str:
     """A user's matplotlibrc changes nothing, and is as before afterwards."""
     name, inches, nothing = next(plot)
@@ -127,8 +136,8 @@ def draw(plot: Plot) -> str:
         # matplotlib's font only measures the text here; the page's font draws it, and may well have
         # the letter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure = Figure(figsize=inches, layout="constrained")
-        FigureCanvasSVG(figure)
+        figure = Figure(figsize=inches, dpi=FigureCanvasSVG.fixed_dpi, layout="constrained")
+        _Canvas(figure)
         if nothing:
             look: dict[str, Any] = {"ha": "center", "va": "center", "color": COLOURS["muted"]}
             figure.text(0.5, 0.55, "not measured", fontsize=12, **look)

@@ -6,7 +6,6 @@ A few seeds stand here for all of them, whose shares are counted in the weekly r
 
 from __future__ import annotations
 
-import faulthandler
 from dataclasses import replace
 
 import numpy as np
@@ -35,12 +34,6 @@ MOST = 0.06  # of runs: 5 % are claimed, and so many leave as much to chance
 NOTICED = 0.8
 SEED = 5
 BESIDE_MM = 550.0
-
-
-@pytest.fixture
-def hours() -> None:
-    """The suite's own watch ends a test after ten minutes."""
-    faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.mark.slow
@@ -113,7 +106,6 @@ def test_a_page_is_read_with_the_heads_of_its_tables() -> None:
 
 
 @pytest.mark.weekly
-@pytest.mark.usefixtures("hours")
 @pytest.mark.timeout(6 * 3600)
 @pytest.mark.parametrize("name", WORLDS)
 def test_no_kind_of_statement_is_false_more_often_than_it_claims(name: str) -> None:
@@ -130,7 +122,6 @@ def test_no_kind_of_statement_is_false_more_often_than_it_claims(name: str) -> N
 
 
 @pytest.mark.weekly
-@pytest.mark.usefixtures("hours")
 @pytest.mark.timeout(6 * 3600)
 def test_what_is_off_by_a_known_amount_is_noticed_where_the_truth_allows_it() -> None:
     """0.5 mm of bias is less than what an arm of 0.23 mm and its table frame leave to the truth

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import faulthandler
 import json
 import shutil
 from collections import Counter
@@ -177,7 +176,6 @@ def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(
 @pytest.mark.timeout(6 * 3600)
 @pytest.mark.parametrize("world", WORLDS)
 def test_runs_of_a_null_world_accuse_no_sound_rig(world: str, tmp_path: Path) -> None:
-    faulthandler.cancel_dump_traceback_later()
     wrong: Counter[str] = Counter()
     noticed: Counter[str] = Counter()
     runs = 300
