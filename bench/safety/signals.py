@@ -149,6 +149,7 @@ class Exits:
         return True
 
 
+@unbroken  # it may come back before this has returned, into what was interrupted
 def _send_again(number: int) -> None:
     """The signal comes once more, in a moment; also out of a call that waits."""
     if sys.platform == "win32":
