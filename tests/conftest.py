@@ -217,7 +217,7 @@ def _caches_of(name: str) -> list[_lru_cache_wrapper[Any]]:
 
 def resident_mib() -> float:
     """Resident memory of this process."""
-    return psutil.Process().memory_info().rss / 2**20
+    return float(psutil.Process().memory_info().rss) / 2**20
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from typing import TypeVar
 from textfiles.text import full_stop, words_of
 
 T = TypeVar("T")
+ON_WINDOWS = sys.platform == "win32"
 AGAIN_S, PAUSE_S = 5.0, 0.005
 TRIED = 1 << 16  # more than a file that a person works for has
 
@@ -65,7 +66,7 @@ def in_turn(act: Callable[[], T]) -> T:
         try:
             return act()
         except PermissionError:
-            if sys.platform != "win32" or time.monotonic() > until_s:
+            if not ON_WINDOWS or time.monotonic() > until_s:
                 raise
         time.sleep(PAUSE_S)
 

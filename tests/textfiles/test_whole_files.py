@@ -58,11 +58,11 @@ def test_who_reads_a_file_on_windows_keeps_nobody_from_its_place(
         return replace(part, target)
 
     monkeypatch.setattr(Path, "replace", busy)
-    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr("textfiles.whole.ON_WINDOWS", False)
     with pytest.raises(PermissionError):
         replace_whole(path, b"new")
     assert [one.name for one in tmp_path.iterdir()] == ["a file"]
-    monkeypatch.setattr("sys.platform", "win32")
+    monkeypatch.setattr("textfiles.whole.ON_WINDOWS", True)
     replace_whole(path, b"new")
     assert path.read_text(encoding="utf-8") == "new"
     monkeypatch.setattr("textfiles.whole.AGAIN_S", 0.0)
