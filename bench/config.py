@@ -267,7 +267,8 @@ def _near(path: Path, error: Exception) -> str:
         return ""
     if not folder.is_dir():
         return f" (there is no folder {folder})"
-    return f" (in {folder}{did_you_mean(path.stem, [one.stem for one in folder.glob('*.*')])})"
+    near = did_you_mean(path.stem, sorted(one.stem for one in folder.glob("*.*")))
+    return f" (in {folder}{near})"
 
 
 def toml_of(path: Path) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from instruments.listener import Device, ServedConnection
 from instruments.pacing import check_pace
 
 _CLOSE = 0x08 | 0x10  # inotify(7): IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
-_FLAGS = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
+_FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
 
 
 def _watch_closings(path: str) -> int:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import errno
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 
 from textfiles.text import full_stop, words_of
 
+T = TypeVar("T")
+ON_WINDOWS = sys.platform == "win32"
+AGAIN_S, PAUSE_S = 5.0, 0.005
 TRIED = 1 << 16  # more than a file that a person works for has
 
 
@@ -38,13 +43,32 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
             except OSError as error:
                 error.filename = error.filename or str(path)  # a full disk names none
                 raise
+        for path, part in parts.items():
+            take_place(part, path)
     except BaseException:
         for part in parts.values():
             part.unlink(missing_ok=True)
         raise
-    for path, part in parts.items():
-        part.replace(path)
     return list(parts)
+
+
+def take_place(part: Path, path: Path) -> None:
+    """``part`` at ``path``, over what is there. Raises OSError."""
+    in_turn(lambda: part.replace(path))
+
+
+def in_turn(act: Callable[[], T]) -> T:
+    """What ``act`` gives. Windows takes no file's place while somebody reads it, and gives nobody
+    what is just replaced: `AGAIN_S` long it is tried again there. Raises what ``act`` does.
+    """
+    until_s = time.monotonic() + AGAIN_S
+    while True:
+        try:
+            return act()
+        except PermissionError:
+            if not ON_WINDOWS or time.monotonic() > until_s:
+                raise
+        time.sleep(PAUSE_S)
 
 
 def try_write(path: Path) -> None:

@@ -24,6 +24,7 @@ from bench.safety.bath_monitor import BathMonitor, SafeAtOnce
 from bench.safety.interlocks import Interlocks
 from bench.safety.latch import unconfirmed
 from bench.safety.liveness import Liveness
+from bench.safety.signals import no_lock_is_kept
 from bench.safety.stability import StabilityGate, State
 from bench.script.detectors import refusals
 from bench.truth.stage_registration import ends_of
@@ -360,6 +361,7 @@ def open_rig(
     has_alone = {"arm", "bath", "stage"} & {*instruments}
     lock = lock_path(loaded) if has_alone else None
     with (
+        no_lock_is_kept(),
         locked(lock, "open_rig", warn),
         open_instruments(
             loaded,

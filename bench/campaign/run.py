@@ -28,7 +28,7 @@ from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
 from textfiles.text import range_text
-from textfiles.whole import new_folders, refusal, remove_empty
+from textfiles.whole import new_folders, refusal, remove_empty, take_place
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
 
@@ -122,7 +122,7 @@ class Campaign:
                 # a job array's first jobs may all be here at once, with the same text
                 new = self.folder / f"plan-{uuid.uuid4().hex}"
                 write_synced(new, self._text)
-                new.replace(path)
+                take_place(new, path)
 
     def run(
         self,

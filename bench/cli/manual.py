@@ -44,7 +44,7 @@ def _read(page: Path) -> str:
 def _mentioned(words: str) -> str:
     """The pages that say ``words``, most often first; empty where none does."""
     word = re.compile(rf"\b{re.escape(words)}\b", re.IGNORECASE)
-    counts = {path.stem: len(word.findall(_read(path))) for path in folder().glob("*.md")}
+    counts = {path.stem: len(word.findall(_read(path))) for path in sorted(folder().glob("*.md"))}
     pages = sorted(filter(counts.get, counts), key=lambda page: -counts[page])[:FEW]
     return f"; these pages speak of it: {', '.join(pages)}" if pages else ""
 

@@ -48,7 +48,7 @@ from bench.record.schema import Row
 from detector.calibration.values import Calibration
 from detector.geometry import Camera
 from textfiles.text import in_command
-from textfiles.whole import new_folders
+from textfiles.whole import new_folders, take_place
 
 NAME, CALIBRATION = "run.mcap", "calibration.toml"
 SIXTEEN_BITS = {"thermal_radiometric", "depth", "depth_amplitude"}
@@ -217,7 +217,7 @@ def export_mcap(run: Path, out: Path) -> list[Path]:
                     content = one.make(Timestamp(seconds=seconds, nanos=nanos))
                     writer.write_message(one.topic, content, one.time_ns, one.time_ns)
                 writer.finish()  # type: ignore[no-untyped-call]
-            part.replace(out / NAME)
+            take_place(part, out / NAME)
         finally:
             part.unlink(missing_ok=True)
     return [out / NAME]

@@ -310,7 +310,7 @@ def _readings(db: sqlite3.Connection, since_s: float) -> dict[str, Any]:
 def guardian_files(folder: Path) -> dict[str, Mapping[str, Any]]:
     """What guardians wrote, by the file's name: they write whole files. Raises ConfigError."""
     found: dict[str, Mapping[str, Any]] = {}
-    for path in folder.glob(GUARDIAN_FILES):
+    for path in sorted(folder.glob(GUARDIAN_FILES)):
         try:
             found[path.name] = dict(json.loads(path.read_text(encoding="utf-8")))
         except ValueError as error:

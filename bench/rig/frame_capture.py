@@ -85,7 +85,7 @@ class StereoOrder:
         even = cv2.remap(small, x, y, cv2.INTER_LINEAR)
         even = even.T if self._upright else even
         smooth = cv2.GaussianBlur(even.astype(np.float32), (0, 0), SIGMA_PX)
-        gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
+        gradient: Array = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1).astype(np.float64)
         limit = 4.0 * float(np.sqrt(np.mean(gradient**2)))
         return np.clip(gradient, -limit, limit)  # one strong edge must not outweigh all others
 

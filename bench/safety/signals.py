@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import dis
 import os
 import signal
 import sys
@@ -69,6 +70,10 @@ ASKED_BY = {
 # a second Ctrl-C within this is the same request, a later one of who sees nothing happen
 ON_THE_WAY_S = 5.0
 AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
+# since Python 3.14 a signal comes between what `with` has entered and its block: what it takes
+# would never be given back (python/cpython#148874)
+ENTERS = dis.opmap.get("LOAD_SPECIAL")
+CODE_UNIT_BYTES = 2
 MOMENT_S = 0.001
 LOOK_S = 0.1
 CLOSE_S = 4.5  # Windows ends a program 5 s after its console was closed, whatever it does
@@ -144,6 +149,7 @@ class Exits:
         return True
 
 
+@unbroken  # it may come back before this has returned, into what was interrupted
 def _send_again(number: int) -> None:
     """The signal comes once more, in a moment; also out of a call that waits."""
     if sys.platform == "win32":
@@ -250,8 +256,37 @@ def in_own_thread(work: Callable[[], T]) -> T:
     return given[0]
 
 
+@contextmanager
+def no_lock_is_kept() -> Iterator[None]:
+    """While this lasts, Python's own Ctrl-C waits for a lock that is being taken or given back:
+    for a program that uses the API, and handles no signals.
+    """
+    own = threading.current_thread() is threading.main_thread()
+    if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _raise_ctrl_c)
+    try:
+        yield
+    finally:
+        own = threading.current_thread() is threading.main_thread()
+        if own and signal.getsignal(signal.SIGINT) is _raise_ctrl_c:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _raise_ctrl_c(number: int, frame: FrameType | None) -> None:
+    if _must_go_on(frame):
+        _send_again(number)
+    else:
+        signal.default_int_handler(number, frame)
+
+
 def _must_go_on(frame: FrameType | None) -> bool:
     """Whether Python is taking or giving back a lock, or what is unbroken is at work here."""
+    if frame is not None and frame.f_lasti >= CODE_UNIT_BYTES:
+        before = frame.f_code.co_code[frame.f_lasti - CODE_UNIT_BYTES]
+        if before == ENTERS:
+            return True
     while frame is not None:
         code = frame.f_code
         locking = code.co_filename == threading.__file__ and code.co_name in AMID_A_LOCK

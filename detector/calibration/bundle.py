@@ -194,10 +194,10 @@ class _Normal:
         """Without poses: matrix (k, k), slope (k,), and their recovery (poses, 6, k + 1)."""
         damped = self.own + damping * self.own * np.eye(6)
         sides = [self.coupling.transpose(0, 2, 1), self.own_slope[:, :, None]]
-        back = np.linalg.solve(damped, np.concatenate(sides, axis=2))
+        back = np.asarray(np.linalg.solve(damped, np.concatenate(sides, axis=2)), dtype=np.float64)
         taken = np.einsum("pki,pij->kj", self.coupling, back)
         matrix = self.shared + damping * np.diag(np.diag(self.shared)) - taken[:, :-1]
-        return matrix, self.slope - taken[:, -1], back  # type: ignore[return-value]
+        return matrix, self.slope - taken[:, -1], back
 
     def step(self, damping: float) -> Array:
         """Marquardt's step (size,) for a damping."""

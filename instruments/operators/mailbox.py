@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter
 
 from instruments.clock import wall_time
 from instruments.operators import operator as op
-from textfiles.whole import sync
+from textfiles.whole import in_turn, sync, take_place
 
 FOLDER, PROMPT, ANSWERS = "console", "prompt.json", "answers"
 LONGEST, LONGEST_NUMBER = 1 << 20, 16  # bytes of a file, digits of a number
@@ -95,7 +95,7 @@ class Mailbox:
     def _show(self, prompt: Mapping[str, Any]) -> None:
         part = self._folder / f"{PROMPT}.part"
         part.write_text(json.dumps(prompt, ensure_ascii=False), encoding="utf-8")
-        part.replace(self._folder / PROMPT)
+        take_place(part, self._folder / PROMPT)
 
 
 class _PromptFile(BaseModel):
@@ -116,7 +116,7 @@ class _PromptFile(BaseModel):
 
 def _read(path: Path) -> bytes:
     """A small file. Raises OSError, and ValueError for a large one."""
-    with path.open("rb") as file:
+    with in_turn(lambda: path.open("rb")) as file:
         data = file.read(LONGEST + 1)
     if len(data) > LONGEST:
         raise ValueError(f"{path} has more than {LONGEST} bytes")

@@ -13,7 +13,8 @@ import pytest
 
 @contextmanager
 def interrupts() -> Iterator[Callable[[float], None]]:
-    """Yields a function that raises KeyboardInterrupt in the main thread, once, in so many seconds.
+    """Yields a function that brings Ctrl-C to its handler in the main thread, once, in so many
+    seconds.
 
     Call it where the interrupt is waited for: on a busy machine it may come at once. The timer of
     pytest-timeout, which is the same one, goes on afterwards.
@@ -21,8 +22,10 @@ def interrupts() -> Iterator[Callable[[float], None]]:
     if not hasattr(signal, "setitimer"):
         pytest.skip("needs interval timers, which this system has none of")
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
+    def interrupt(_number: int, frame: FrameType | None) -> None:
+        handler = signal.getsignal(signal.SIGINT)
+        assert callable(handler)
+        handler(signal.SIGINT, frame)
 
     def interrupt_in(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)

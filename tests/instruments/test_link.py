@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from bench.rig.urls import serial_url
+from bench.safety.signals import no_lock_is_kept
 from instruments.bath.connection import parse_line
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError, ProtocolError
@@ -202,7 +203,8 @@ INTERRUPTS = 300
 
 @pytest.mark.slow
 def test_a_conversation_that_was_interrupted_anywhere_goes_on() -> None:
-    with linked(Echo(0.5), VirtualClock()) as (link, _), interrupts() as interrupt_in:
+    linked_here = linked(Echo(0.5), VirtualClock())
+    with no_lock_is_kept(), linked_here as (link, _), interrupts() as interrupt_in:
         for number in range(INTERRUPTS):
             with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - wherever it strikes
                 interrupt_in(0.0005 + (number % 37) * 0.00003)

@@ -144,7 +144,7 @@ DEEP = "[" * 100_000
         ("a = " + "1" * 4301, "an integer has thousands of digits"),
         ("a = 0x" + "f" * 4000, "an integer has thousands of bits"),
         (f"a = {DEEP}", "tables in tables without end"),
-        (".".join("a" * 3000) + " = 1", "more than 60 tables in each other"),
+        (".".join("a" * 500) + " = 1", "more than 60 tables in each other"),
         ('a = "\\ud800"', "not TOML"),
         ("a = 1\na = 2", "not TOML: Cannot overwrite a value"),
         ("a = 2026-13-45", "not TOML"),

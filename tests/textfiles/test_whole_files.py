@@ -42,3 +42,30 @@ def test_on_a_full_disk_it_is_as_it_was(
     monkeypatch.undo()
     WRITERS[kind](path)
     assert "new" in path.read_text(encoding="utf-8")
+
+
+def test_who_reads_a_file_on_windows_keeps_nobody_from_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows refuses both for a moment; elsewhere a refusal is one for good."""
+    (path := tmp_path / "a file").write_text("old", encoding="utf-8")
+    replace, asked = Path.replace, list[Path]()
+
+    def busy(part: Path, target: Path) -> Path:
+        asked.append(part)
+        if len(asked) < 4:
+            raise PermissionError(errno.EACCES, "Access is denied")
+        return replace(part, target)
+
+    monkeypatch.setattr(Path, "replace", busy)
+    monkeypatch.setattr("textfiles.whole.ON_WINDOWS", False)
+    with pytest.raises(PermissionError):
+        replace_whole(path, b"new")
+    assert [one.name for one in tmp_path.iterdir()] == ["a file"]
+    monkeypatch.setattr("textfiles.whole.ON_WINDOWS", True)
+    replace_whole(path, b"new")
+    assert path.read_text(encoding="utf-8") == "new"
+    monkeypatch.setattr("textfiles.whole.AGAIN_S", 0.0)
+    asked.clear()
+    with pytest.raises(PermissionError):
+        replace_whole(path, b"newer")

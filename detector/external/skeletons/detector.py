@@ -13,7 +13,8 @@ import sys
 
 def find(asked: dict[str, str]) -> dict[str, object]:
     """Change this. asked["left"] and asked["right"] are grey PNG files, for example for
-    cv2.imread(asked["left"], cv2.IMREAD_GRAYSCALE).
+    cv2.imdecode(np.fromfile(asked["left"], np.uint8), cv2.IMREAD_GRAYSCALE): cv2.imread takes no
+    folder with letters as in Jürgen on Windows.
     """
     # a teat in pixels [column, row] of both pictures: the bench calculates the point in space
     teat = {"left_px": [750.0, 425.0], "right_px": [622.0, 456.0]}

@@ -1,5 +1,6 @@
 """A rig from Python, as docs/api.md has it; wrong steps."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import bench
 from detector import Calibration, Detection, Frames, Outcome, registry
 from instruments import LimitError
 from tests.conftest import ROOT
+from tests.instruments.interrupts import interrupts
 
 
 def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
@@ -63,6 +65,18 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
             getattr(bath, name)()
     with pytest.raises(LimitError, match="it was left, and is closed"):
         stage.position()
+
+
+@pytest.mark.slow
+def test_ctrl_c_amid_any_step_leaves_a_rig_that_can_be_used() -> None:
+    with bench.open_rig("emulated", ("bath",)) as rig, interrupts() as interrupt_in:
+        for number in range(100):
+            with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - wherever it strikes
+                interrupt_in(0.0005 + number % 37 * 0.00003)
+                while True:
+                    rig.bath.read()
+        rig.heat(33.0, wait=False)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_what_was_done_is_said_and_nothing_too() -> None:

@@ -96,14 +96,14 @@ def _brightness(
         way = (board_from_camera.T[2] - np.clip(height, 0, 3 * bend_mm)) / rays[:, 2]
         at = board_from_camera.T[:2] - rays[:, :2] * way[:, None]
     x, y = (at / pitch_mm + 1.0).T
-    width, height = board.columns + 1, board.rows + 1
-    paper = (x > -0.6) & (y > -0.6) & (x < width + 0.6) & (y < height + 0.6)
+    columns, rows = board.columns + 1, board.rows + 1
+    paper = (x > -0.6) & (y > -0.6) & (x < columns + 0.6) & (y < rows + 0.6)
     if board.circle_mm is not None:
         off_x = x - np.clip(np.rint(x), 1, board.columns)
         off_y = y - np.clip(np.rint(y), 1, board.rows)
         black = np.hypot(off_x, off_y) < board.circle_mm / 2 / board.pitch_mm
     else:
-        printed = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        printed = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
         black = printed & ((np.floor(x) + np.floor(y)) % 2 == 0)
     return np.where(black, 35.0, np.where(paper, 205.0, 120.0))
 

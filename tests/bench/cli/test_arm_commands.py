@@ -110,6 +110,7 @@ def test_what_was_touched_is_printed_where_its_file_cannot_be_written_any_more(
     load: Callable[[Path], object],
 ) -> None:
     """The disk was filled while the arm was touched with."""
+    pytest.importorskip("resource", reason="Windows limits no file's size")
     out, copied = tmp_path / "arm.toml", tmp_path / "copied.toml"
     with ExitStack() as filled:
         last = (prompts.pop(), lambda: filled.enter_context(full(0)))

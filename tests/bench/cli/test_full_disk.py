@@ -101,6 +101,8 @@ def test_a_report_that_cannot_be_written_says_that_the_run_is_kept(
     run = Path(shutil.copytree(KEPT, tmp_path / "a run"))
     shutil.rmtree(run / "report", ignore_errors=True)
     (run / "report").touch()
+    with pytest.raises(FileExistsError) as there:
+        (run / "report").mkdir()
     err = said(3, "report {} --no-pdf", run).err
     then = f'The run is kept. Remove the cause, then: teatbench report "{run}"'
-    assert err == f"teatbench: {run / 'report'}: File exists. {then}\n"
+    assert err == f"teatbench: {run / 'report'}: {there.value.strerror}. {then}\n"

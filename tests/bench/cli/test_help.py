@@ -111,7 +111,7 @@ def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:
     assert said(0, "help guard band").out.startswith("guard band: What is taken off a limit")
     assert said(0, "help Undecided").out.startswith("undecided: ")
     assert said(0, "help check touches").out.startswith("check point: A divot")
-    assert "these pages speak of it: faults, runs" in said(2, "help pedal").err
+    assert "these pages speak of it: faults, lab, runs" in said(2, "help pedal").err
     for near, meant in ("recor", "record"), ("store chek", "store check"), ("apx", "apex"):
         assert f'did you mean "{meant}"' in said(2, f"help {near}").err
     assert "went: bash and zsh" in said(2, "help completion").err

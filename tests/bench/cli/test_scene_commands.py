@@ -40,8 +40,8 @@ def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     frames = recording.load("overlapping-0003")
     assert frames.left.shape == (256, 340)
     assert frames.thermal_ck is not None
-    calibration = load_rig(rig).calibration_path.read_bytes()
-    assert calibration == (out / "calibration.toml").read_bytes()
+    calibration = load_rig(rig).calibration_path.read_text(encoding="utf-8")
+    assert calibration == (out / "calibration.toml").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

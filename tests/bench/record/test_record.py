@@ -268,7 +268,8 @@ def test_frames_are_on_the_disk_before_the_row_that_names_them(
 
     monkeypatch.setattr(os, "fsync", synced)
     done = trial(store, 1)
-    assert len(seen) >= 3, "the frame, its folder, and the folder that holds that"
+    # the frame, its folder, and the folder that holds that; Windows syncs no folder
+    assert len(seen) >= (1 if sys.platform == "win32" else 3)
     assert set(seen) == {0}
     store.finished(done)
     assert durable(store, "frames") == 1

@@ -57,7 +57,8 @@ def test_raw_counts_are_no_temperatures(folder: Path) -> None:
     """A Lepton that isn't radiometric gives counts of about 8192: -191 degC."""
     frame = folder / "frames" / Recording(folder).frames[0]
     counts = np.random.default_rng(1).normal(8192, 60, (120, 160)).astype(np.uint16)
-    cv2.imwrite(str(frame / "thermal_radiometric.png"), counts)
+    png = cv2.imencode(".png", counts)[1].tobytes()
+    (frame / "thermal_radiometric.png").write_bytes(png)
     with pytest.raises(
         RecordingError, match=r"radiometric\.png: -191 degC.*no hundredths of a kel"
     ):

@@ -455,7 +455,7 @@ def test_what_the_processor_gave_is_measured_beside_the_time() -> None:
         return Detection(())
 
     def work() -> Detection:
-        end_s = time.thread_time() + 0.1
+        end_s = time.thread_time() + 0.3
         while time.thread_time() < end_s:
             pass
         return Detection(())
@@ -465,7 +465,7 @@ def test_what_the_processor_gave_is_measured_beside_the_time() -> None:
     assert waited.cpu_s < 0.25
     assert waited.seconds >= 0.4
     assert worked.cpu_s is not None
-    assert worked.cpu_s >= 0.09
+    assert worked.cpu_s >= 0.27
     row = detection_rows("t", waited)[0]
     assert (row["wall_cpu_s"], row["wall_load"]) == (waited.cpu_s, waited.load)
     assert (waited.load is not None) is hasattr(os, "getloadavg")

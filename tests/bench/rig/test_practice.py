@@ -132,8 +132,9 @@ def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
             assert "OUT" in post(page, "pull bath")
             assert main(["check", str(written)]) == 3
             assert "bath: FAULT" in capsys.readouterr().out
-            with pytest.raises(urllib.error.HTTPError, match="403"):
+            with pytest.raises(urllib.error.HTTPError, match="403") as refused:
                 post(page, "put back bath", Origin="http://elsewhere.example")
+            refused.value.close()
             assert "OUT" not in post(page, "put back bath")
             assert main(["check", str(written)]) == 0
             said = capsys.readouterr().out

@@ -5,6 +5,7 @@ is not tested (docs/safety.md).
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -41,6 +42,7 @@ from instruments.clock import VirtualClock
 from instruments.listener import Connection
 from tests.bench.safety.guards import HotBath
 from tests.conftest import ROOT
+from tests.instruments.interrupts import interrupts
 from tests.instruments.listening_in import Echo, linked
 from tests.waiting import PATIENCE_S
 
@@ -253,6 +255,23 @@ def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> 
         other.start()
         other.join()
         assert free == [True]
+    assert raised == STORMS
+
+
+@pytest.mark.slow
+@posix
+def test_a_lock_that_a_block_has_entered_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.safety.signals.ON_THE_WAY_S", 0.0)
+    lock, raised = threading.Lock(), 0
+    with installed(), interrupts() as interrupt_in:
+        for number in range(STORMS):
+            with contextlib.suppress(Interrupted):
+                interrupt_in(0.0002 + number % 37 * 0.00001)
+                while True:
+                    with lock:
+                        raised += 0
+            raised += 1
+            assert not lock.locked()
     assert raised == STORMS
 
 

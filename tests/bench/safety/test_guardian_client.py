@@ -91,7 +91,8 @@ def test_the_guardian_is_small_has_what_the_system_grants_and_gets_no_signal_of_
         for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             os.kill(line.pid, name)
         assert os.getsid(line.pid) != os.getsid(0)
-        held = [str(path.readlink()) for path in (of / "fd").iterdir()]
+        opened = [str(path.readlink()) for path in (of / "fd").iterdir()]
+        held = [name for name in opened if "/libffi.so" not in name]  # which some libffi do
         assert len(held) == 4, f"pipes to the bench, its log, the bath's lock: {held}"
         assert sum(name.endswith(".owner") for name in held) == 1
         assert sum(name.startswith("pipe:") for name in held) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -24,11 +25,16 @@ def free_scene(k: int) -> Scene:
     for i in range(len(found.teats)):
         found = nearest(found, _drawn(Teat(), rng), partial(put_teat, i))
     found = nearest(found, _drawn(Pose(), rng), lambda near, scene: replace(scene, pose=near))
-    found = replace(_drawn(found, rng), paint=rng.choice(list(PAINTS)).item())
+    found = replace(_drawn(found, rng), paint=_one_of(PAINTS, rng))
     for _ in range(rng.integers(MOST_OBJECTS + 1)):
-        thing = _drawn(Object(rng.choice(list(KINDS)).item()), rng)
+        thing = _drawn(Object(_one_of(KINDS, rng)), rng)
         found = nearest(found, thing, lambda near, at: replace(at, objects=(*at.objects, near)))
     return found
+
+
+def _one_of(names: Iterable[str], rng: np.random.Generator) -> Any:
+    among = list(names)
+    return among[int(rng.integers(len(among)))]
 
 
 def _drawn(plain: T, rng: np.random.Generator) -> T:

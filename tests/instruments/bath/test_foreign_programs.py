@@ -56,6 +56,7 @@ def circulator(name: str) -> Iterator[tuple[LineEmulator, Plant, int]]:
 # ---- they drive
 
 
+@pytest.mark.filterwarnings("ignore:'asyncio.iscoroutinefunction':DeprecationWarning")
 def test_julabo_drives_an_emulated_julabo() -> None:
     library: Any = foreign("julabo", "julabo")
 
