@@ -33,7 +33,7 @@ feed_mm_per_min = {feed}
 QUICK_HOMING = "stage = { settings = { 24 = 1200, 25 = 12000, 26 = 10 } }\n"
 PLAYED = """
 [cameras]
-url = "recording:recording"
+url = "recording:{recording}"
 settle_s = {settle_s}
 """
 
@@ -112,7 +112,6 @@ def real_rig(
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_calibration(folder)
-    (folder / "recording").symlink_to(recording, target_is_directory=True)
     with (
         closing(RealClock()) as clock,
         EmulatedRig(
@@ -122,7 +121,7 @@ def real_rig(
         rig, script = folder / "lab.toml", folder / "short.toml"
         parts = {
             "operator": "console:",
-            "cameras_part": PLAYED.format(settle_s=settle_s),
+            "cameras_part": PLAYED.format(recording=recording.resolve().as_posix(), settle_s=settle_s),
             "stage_part": STAGE.format(**twin.urls, feed=1500.0) if stage else "",
             "pump_part": RELAY.format(twin.urls["pump"]) if pump else "",
             "check_part": CHECK.format(check_touches) if check_touches else "",

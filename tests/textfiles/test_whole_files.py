@@ -35,7 +35,7 @@ def test_on_a_full_disk_it_is_as_it_was(
     monkeypatch.setattr("sys.platform", "linux")  # where it is fsync that syncs
     (path := tmp_path / "a file").write_text("old", encoding="utf-8")
     goes_on = kind == "a guardian's note"
-    with nullcontext() if goes_on else pytest.raises(OSError, match=re.escape(str(path))):
+    with nullcontext() if goes_on else pytest.raises(OSError, match=re.escape(repr(str(path)))):
         WRITERS[kind](path)
     assert [one.name for one in tmp_path.iterdir()] == ["a file"]
     assert path.read_text(encoding="utf-8") == "old"

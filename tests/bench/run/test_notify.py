@@ -133,7 +133,7 @@ def test_a_prompt_that_was_answered_at_once_delays_no_other_s_word() -> None:
 
 def test_an_address_that_never_ends_its_answer_is_left_to_who_ends_the_command() -> None:
     """Of apprise's threads those of a daemon are daemons, for which Python waits without end."""
-    asked, over = threading.Event(), threading.Event()
+    asked, over, others = threading.Event(), threading.Event(), {*threading.enumerate()}
 
     class Slow(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
@@ -147,7 +147,8 @@ def test_an_address_that_never_ends_its_answer_is_left_to_who_ends_the_command()
         notifier.word(ENDED, lambda: ("ended", "last"))
         assert asked.wait(SOON_S)
         names = ("messages", "ThreadPoolExecutor")
-        waiting = [one for one in threading.enumerate() if one.name.startswith(names)]
+        new = {*threading.enumerate()} - others
+        waiting = [one for one in new if one.name.startswith(names)]
         over.set()
         notifier.close()
         serving.join()
