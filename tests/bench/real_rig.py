@@ -121,7 +121,9 @@ def real_rig(
         rig, script = folder / "lab.toml", folder / "short.toml"
         parts = {
             "operator": "console:",
-            "cameras_part": PLAYED.format(recording=recording.resolve().as_posix(), settle_s=settle_s),
+            "cameras_part": PLAYED.format(
+                recording=recording.resolve().as_posix(), settle_s=settle_s
+            ),
             "stage_part": STAGE.format(**twin.urls, feed=1500.0) if stage else "",
             "pump_part": RELAY.format(twin.urls["pump"]) if pump else "",
             "check_part": CHECK.format(check_touches) if check_touches else "",
