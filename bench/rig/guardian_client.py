@@ -192,8 +192,10 @@ class GuardianClient:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
             self._reader.join(END_S)
-        if self._log.is_file() and not self._log.stat().st_size:
-            self._log.unlink()
+        # where it goes on, Windows keeps its open log
+        with contextlib.suppress(OSError):
+            if not self._log.stat().st_size:
+                self._log.unlink()
 
     def _await_ready(self, target: GuardianTarget) -> None:
         """Its first line. Raises LinkError with its last words where it says anything else."""

@@ -4,6 +4,7 @@ silent, or which its owner is asking; and what a script says that can't make its
 
 from __future__ import annotations
 
+import errno
 import socket
 import sys
 import threading
@@ -173,8 +174,16 @@ def test_a_trip_with_the_stage_unplugged_never_says_that_it_is_held(
 
 @pytest.mark.slow
 def test_a_script_that_can_not_make_its_bath_safe_says_so_and_the_guardian_goes_on(
-    hot: HotBath, capsys: pytest.CaptureFixture[str]
+    hot: HotBath, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    unlink = Path.unlink
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        if path.name == "guardian.log":  # as on Windows while the guardian has it open
+            raise PermissionError(errno.EACCES, "it is used by another process", str(path))
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
     rig = rig_of(
         load_profile("julabo-presto"), bath=BathTable(url=hot.url, profile="julabo-presto")
     )
