@@ -28,6 +28,8 @@ ENVIRONMENT = (
     *("COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PROGRAMDATA"),
     *("PROGRAMFILES", "NUMBER_OF_PROCESSORS", "PROCESSOR_ARCHITECTURE"),
 )
+# lines are UTF-8; a Python on Windows would read them as the system's own encoding
+UTF8 = {"PYTHONUTF8": "1"}
 # by which it and all that it started are known, whatever became of the processes between
 MARK = "TEATBENCH_DETECTOR"
 # times the memory allowed, a process: numpy's threads alone allocate 40 MiB each and never touch
@@ -65,7 +67,7 @@ class Child:
         self._mark = secrets.token_hex(16)
         hard_mib = 0 if memory_mib is None else math.ceil(HARD_LIMIT * memory_mib)
         known = {n: os.environ[n] for n in (*ENVIRONMENT, *passed) if n in os.environ}
-        env = {**known, MARK: self._mark}
+        env = {**UTF8, **known, MARK: self._mark}
         self._process, self._hold = _spawn(command, folder, env, hard_mib)
         self._in = cast(IO[bytes], self._process.stdin)
         self._lines, self._complaints = _Lines(), _StderrTail()

@@ -17,7 +17,7 @@ from bench.rig.loading import find_rig, load_rig
 from bench.script.detectors import check_named, declared, make_detectors, taken_apart
 from bench.script.model import TRIALS, load_script
 from detector.external import ExternalDetector
-from detector.external.process import ENVIRONMENT, MARK
+from detector.external.process import ENVIRONMENT, MARK, UTF8
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
 from tests.detector.children import NO_TEATS, answering, ask
@@ -170,7 +170,8 @@ def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(
             detector.close()
     assert seen["plain"]["LANG"] == "C.UTF-8"
     assert seen["plain"]["PATH"] == os.environ["PATH"]
-    assert set(seen["plain"]) <= {*ENVIRONMENT, MARK}
+    assert set(seen["plain"]) <= {*ENVIRONMENT, *UTF8, MARK}
+    assert seen["plain"]["PYTHONUTF8"] == "1", "lines are UTF-8 on every system"
     assert seen["more"].keys() - seen["plain"].keys() == {"LAB_MODEL"}
     assert seen["more"]["LAB_MODEL"] == "heavy"
     with pytest.raises(ConfigError, match=r"environment\[1\]"):
