@@ -26,13 +26,21 @@ from tests.examples import few
 if sys.platform == "win32":
     pytest.skip("forks benches", allow_module_level=True)
 
+# zaber-motion keeps what comes without an end of a line for as long as it waits: 1.4 GB over a
+# loopback, 20 kB at a serial port (docs/rig.md)
+MAKERS = {
+    ("stage, Zaber", "endless data"): pytest.mark.xfail(reason="the maker's library has no bound")
+}
 ENDLESS = ("endless data", "endless lines")
 QUICK = ("endless data", "endless lines", "closing at once", "echo", "zeros", "exceptions")
 
 
 @pytest.mark.weekly
 @pytest.mark.slow
-@pytest.mark.parametrize(("link", "kind"), CELLS, ids=[", ".join(cell) for cell in CELLS])
+@pytest.mark.parametrize(
+    ("link", "kind"),
+    [pytest.param(*cell, id=", ".join(cell), marks=MAKERS.get(cell, ())) for cell in CELLS],
+)
 def test_every_command_ends_well(link: str, kind: str, recording: Path) -> None:
     from tests.bench.hostile_peers import outcomes
 

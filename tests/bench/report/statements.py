@@ -196,8 +196,8 @@ KINDS = (
     Kind("the arm's stated u", r".*no error is accepted by this guard band\.", always),
     Kind(
         "the arm's stated u",
-        r".*(divots|lengths) of the dated verification differ as those of an arm"
-        r" of u = .*",
+        r".*(divots of the dated verification|lengths of the dated verification|check touches of"
+        r" the run) differ as those of an arm of u = .*",
         always,
     ),
     Kind("the stage's axes", r"The stage's axes are worse than the rig file states.*", always),

@@ -26,6 +26,7 @@ from tests.bench.fault_catalogue import (
 
 ALL = tuple((*fault, state) for fault, state in product(FAULTS, STATES))
 SOME = (
+    ("bath", "low level", "preparing"),
     ("bath", "sensor break", "settling"),
     ("stage", "stall", "running"),
     ("arm", "disconnect", "safing"),

@@ -57,6 +57,24 @@ def test_each_stage_refuses_what_is_beyond_and_marlin_alone_is_lost_by_a_stop(ea
     assert stage.homed == ("its position lost if it moved" not in stage.safe_state)
 
 
+def test_a_stage_that_nobody_has_met_yet_stands(each: Bench) -> None:
+    """An interlock may trip before the run comes to the stage, whose port is open: what its board
+    says as it starts is no restart by itself, and no reason to halt it.
+    """
+    each.clock.sleep(1.0)
+    assert each.stage.stands() is not None
+    each.stage.stop()
+    assert each.stage.connect().dialect == each.emulator.dialect.name
+    each.stage.home()
+
+
+def test_a_stage_that_nobody_has_met_yet_is_stopped(each: Bench) -> None:
+    """As at the end of a run that came no further."""
+    each.stage.safe()
+    assert each.stage.stands() is not None
+    each.stage.home()
+
+
 def _restarts_unheard(bench: Bench) -> None:
     """The power dips at rest; nothing that the board says at its start arrives."""
     controller = bench.emulator._controller
