@@ -19,14 +19,19 @@ AGAIN_S, PAUSE_S = 5.0, 0.005
 TRIED = 1 << 16  # more than a file that a person works for has
 
 
-def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
+def replace_whole(
+    path: Path, data: bytes, *, synced: bool = False, again_s: float | None = None
+) -> None:
     """``data`` at ``path``: who reads it finds all of it, or what was there; ``synced``: after a
-    crash too. Raises OSError, which names the file; nothing is left beside it then.
+    crash too; ``again_s``: see `in_turn`. Raises OSError, which names the file; nothing is left
+    beside it then.
     """
-    replace_all([(path, data)], synced=synced)
+    replace_all([(path, data)], synced=synced, again_s=again_s)
 
 
-def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) -> list[Path]:
+def replace_all(
+    files: Iterable[tuple[Path, bytes]], *, synced: bool = False, again_s: float | None = None
+) -> list[Path]:
     """As `replace_whole`; none takes its place before all are written. Gives their paths."""
     parts: dict[Path, Path] = {}
     try:
@@ -44,7 +49,7 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
                 error.filename = error.filename or str(path)  # a full disk names none
                 raise
         for path, part in parts.items():
-            take_place(part, path)
+            take_place(part, path, again_s)
     except BaseException:
         for part in parts.values():
             part.unlink(missing_ok=True)
@@ -52,21 +57,22 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
     return list(parts)
 
 
-def take_place(part: Path, path: Path) -> None:
+def take_place(part: Path, path: Path, again_s: float | None = None) -> None:
     """``part`` at ``path``, over what is there. Raises OSError."""
-    in_turn(lambda: part.replace(path))
+    in_turn(lambda: part.replace(path), again_s)
 
 
-def in_turn(act: Callable[[], T]) -> T:
+def in_turn(act: Callable[[], T], again_s: float | None = None) -> T:
     """What ``act`` gives. Windows takes no file's place while somebody reads it, and gives nobody
-    what is just replaced: `AGAIN_S` long it is tried again there. Raises what ``act`` does.
+    what is just replaced: ``again_s`` (None: `AGAIN_S`) long it is tried again there. Raises what
+    ``act`` does.
     """
-    until_s = time.monotonic() + AGAIN_S
+    until_s = time.monotonic() + (AGAIN_S if again_s is None else again_s)
     while True:
         try:
             return act()
         except PermissionError:
-            if not ON_WINDOWS or time.monotonic() > until_s:
+            if not ON_WINDOWS or time.monotonic() >= until_s:
                 raise
         time.sleep(PAUSE_S)
 

@@ -9,13 +9,17 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bench.files import write_synced
 from bench.rig.hand_over import write_note
+from bench.run.live import Live
+from instruments.camera.frame import FrameSet
 from reports.render import write_whole
 from textfiles.whole import replace_whole
 
+GREY = np.zeros((48, 64), np.uint8)
 WRITERS: dict[str, Callable[[Path], object]] = {
     "any file": lambda path: replace_whole(path, b"new", synced=True),
     "a record's": lambda path: write_synced(path, b"new"),
@@ -69,3 +73,42 @@ def test_who_reads_a_file_on_windows_keeps_nobody_from_its_place(
     asked.clear()
     with pytest.raises(PermissionError):
         replace_whole(path, b"newer")
+
+
+class Waited:
+    """A clock that only waiting moves on."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+@pytest.mark.parametrize(
+    ("write", "at_most_s"),
+    [
+        (lambda path: write_note(path, {"new": True}), 0.25),
+        (lambda path: Live(path.parent).frames(FrameSet(GREY, GREY)), 0.0),
+    ],
+    ids=["a guardian's note", "a running run's picture"],
+)
+def test_neither_a_guardian_nor_a_run_waits_for_a_program_that_keeps_its_file_open(
+    write: Callable[[Path], object],
+    at_most_s: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waited = Waited()
+
+    def open_elsewhere(*_: object) -> Path:
+        raise PermissionError(errno.EACCES, "Access is denied")
+
+    monkeypatch.setattr(Path, "replace", open_elsewhere)
+    monkeypatch.setattr("textfiles.whole.ON_WINDOWS", True)
+    monkeypatch.setattr("textfiles.whole.time", waited)
+    write(tmp_path / "note.json")
+    assert waited.now_s <= at_most_s
