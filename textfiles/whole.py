@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import TypeVar
 
 from textfiles.text import full_stop, words_of
@@ -16,6 +17,8 @@ from textfiles.text import full_stop, words_of
 T = TypeVar("T")
 ON_WINDOWS = sys.platform == "win32"
 AGAIN_S, PAUSE_S = 5.0, 0.005
+# names of devices in every folder, and what would be a stream beside a file
+NO_NAME = re.compile(r"(?i)(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[1-9¹²³]) *(\..*)?|.*:.*")
 TRIED = 1 << 16  # more than a file that a person works for has
 
 
@@ -36,6 +39,7 @@ def replace_all(
     parts: dict[Path, Path] = {}
     try:
         for path, data in files:
+            refuse_no_name(path)
             if path.is_dir():  # before anything is left beside it
                 raise IsADirectoryError(f"{path} is a folder")
             parts[path] = path.with_name(path.name + ".part")
@@ -79,11 +83,30 @@ def in_turn(act: Callable[[], T], again_s: float | None = None) -> T:
 
 def try_write(path: Path) -> None:
     """Raises OSError where a file of `TRIED` bytes can't be written at ``path``. Leaves nothing."""
+    refuse_no_name(path)
     part = path.with_name(f"{path.name}.{os.getpid()}.part")  # nobody's
     try:
         part.write_bytes(bytes(TRIED))
     finally:
         part.unlink(missing_ok=True)
+
+
+def refuse_no_name(path: PurePath) -> None:
+    """Raises OSError for a path of Windows in which a name is a device's (CON), or has a colon."""
+    names = path.parts[1:] if path.anchor else path.parts
+    if isinstance(path, PureWindowsPath) and (bad := [*filter(NO_NAME.fullmatch, names)]):
+        why = f"no file or folder can have the name {bad[0]} on Windows"
+        raise OSError(errno.EINVAL, why, str(path))
+
+
+def nearest_there(path: Path) -> Path:
+    """``path``, or the nearest folder above it that is there. Raises OSError: its drive isn't."""
+    refuse_no_name(path)
+    whole = path.resolve()
+    for at in (whole, *whole.parents):
+        if at.exists():
+            return at
+    raise FileNotFoundError(errno.ENOENT, f"there is no {whole.anchor}", str(path))
 
 
 @contextmanager
@@ -101,6 +124,7 @@ def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> It
 
 def _made(folder: Path) -> list[Path]:
     """Make ``folder``; gives back which are new, itself first."""
+    refuse_no_name(folder)
     missing = [folder, *folder.parents]
     missing = missing[: next((k for k, one in enumerate(missing) if one.is_dir()), 0)]
     try:

@@ -7,17 +7,20 @@ import os
 import re
 from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 import pytest
 
+from bench.cli.arguments import refuse_existing
+from bench.config import ConfigError
 from bench.files import write_synced
 from bench.rig.hand_over import write_note
+from bench.run.estimate import no_room
 from bench.run.live import Live
 from instruments.camera.frame import FrameSet
 from reports.render import write_whole
-from textfiles.whole import replace_whole
+from textfiles.whole import nearest_there, refuse_no_name, replace_whole
 
 GREY = np.zeros((48, 64), np.uint8)
 WRITERS: dict[str, Callable[[Path], object]] = {
@@ -112,3 +115,35 @@ def test_neither_a_guardian_nor_a_run_waits_for_a_program_that_keeps_its_file_op
     monkeypatch.setattr("textfiles.whole.time", waited)
     write(tmp_path / "note.json")
     assert waited.now_s <= at_most_s
+
+
+@pytest.mark.parametrize(
+    "name", ["CON", "nul", "aux.toml", "Com1 .txt", "ab:c", "x/LPT\u00b9/y", "C:/x:1"]
+)
+def test_the_name_of_a_device_or_a_stream_of_windows_is_no_files(name: str) -> None:
+    refuse_no_name(PurePosixPath(name))
+    with pytest.raises(OSError, match=r"no file or folder can have the name .* on Windows"):
+        refuse_no_name(PureWindowsPath(name))
+
+
+@pytest.mark.parametrize(
+    "name", ["C:x", "C:/console/common", "//srv/share/a.toml", "COM10", "aux-1"]
+)
+def test_other_names_of_windows_are(name: str) -> None:
+    refuse_no_name(PureWindowsPath(name))
+
+
+def test_of_a_drive_that_is_not_there_nothing_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Q:\\runs of a stick that was pulled."""
+    assert nearest_there(tmp_path / "a" / "b") == tmp_path.resolve()
+    monkeypatch.setattr(Path, "exists", lambda _: False)
+    with pytest.raises(FileNotFoundError, match="there is no"):
+        nearest_there(tmp_path / "a")
+    with pytest.raises(
+        ConfigError, match=r"runs: can't be written: there is no .*Name another place"
+    ):
+        no_room(1.0, Path("runs"))
+    with pytest.raises(ConfigError, match=r"--out x\.toml: it can't be written: there is no"):
+        refuse_existing(Path("x.toml"), replace=True, makes_folder=True)
