@@ -62,8 +62,14 @@ def replace_all(
 
 
 def take_place(part: Path, path: Path, again_s: float | None = None) -> None:
-    """``part`` at ``path``, over what is there. Raises OSError."""
-    in_turn(lambda: part.replace(path), again_s)
+    """``part`` at ``path``, over what is there. Raises OSError, which names ``path``."""
+    try:
+        in_turn(lambda: part.replace(path), again_s)
+    except PermissionError as error:
+        error.filename = str(path)  # nobody knows its part
+        if ON_WINDOWS:
+            error.strerror = f"{error.strerror} (does another program have it open?)"
+        raise
 
 
 def in_turn(act: Callable[[], T], again_s: float | None = None) -> T:
