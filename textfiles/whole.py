@@ -68,7 +68,7 @@ def take_place(part: Path, path: Path, again_s: float | None = None) -> None:
     except PermissionError as error:
         error.filename = str(path)  # nobody knows its part
         if ON_WINDOWS:
-            error.strerror = f"{error.strerror} (does another program have it open?)"
+            error.strerror = f"{error.strerror} (is it read-only, or open in another program?)"
         raise
 
 

@@ -74,7 +74,7 @@ def test_who_reads_a_file_on_windows_keeps_nobody_from_its_place(
     assert path.read_text(encoding="utf-8") == "new"
     monkeypatch.setattr("textfiles.whole.AGAIN_S", 0.0)
     asked.clear()
-    with pytest.raises(PermissionError, match="does another program have it open") as refused:
+    with pytest.raises(PermissionError, match="open in another program") as refused:
         replace_whole(path, b"newer")
     assert refused.value.filename == str(path)
 
