@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -15,6 +16,8 @@ import pytest
 from bench.cli.arguments import refuse_existing
 from bench.config import ConfigError
 from bench.files import write_synced
+from bench.record.recording import RecordingWriter
+from bench.record.writer import Store
 from bench.rig.hand_over import write_note
 from bench.run.estimate import no_room
 from bench.run.live import Live
@@ -148,3 +151,37 @@ def test_of_a_drive_that_is_not_there_nothing_is(
         no_room(1.0, Path("runs"))
     with pytest.raises(ConfigError, match=r"--out x\.toml: it can't be written: there is no"):
         refuse_existing(Path("x.toml"), replace=True, makes_folder=True)
+
+
+def new_run(path: Path) -> None:
+    Store.create(path, {"script.toml": ""}).close()
+
+
+def new_frame(path: Path) -> None:
+    RecordingWriter(path).add("one", FrameSet(GREY, GREY), [])
+
+
+@pytest.mark.parametrize("make", [new_run, new_frame])
+def test_who_looks_through_a_new_folder_on_windows_keeps_it_from_nobody(
+    make: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a scanner for viruses does."""
+    asked = Counter[str]()
+
+    def busy(name: str) -> Callable[[Path, Path], Path]:
+        moved: Callable[[Path, Path], Path] = getattr(Path, name)
+
+        def move(part: Path, target: Path) -> Path:
+            asked["folders"] += part.is_dir()
+            if part.is_dir() and asked["folders"] < 3:
+                raise PermissionError(errno.EACCES, "Access is denied")
+            return moved(part, target)
+
+        return move
+
+    for name in ("rename", "replace"):
+        monkeypatch.setattr(Path, name, busy(name))
+    monkeypatch.setattr("textfiles.whole.ON_WINDOWS", True)
+    make(tmp_path / "new")
+    assert asked["folders"] == 3
+    assert [one.name for one in tmp_path.iterdir()] == ["new"]
