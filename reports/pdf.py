@@ -14,6 +14,7 @@ from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
 from reports.trust import PageError
+from textfiles.whole import take_place
 
 NAMES = (  # the first takes a quarter of the others' time
     *("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome"),
@@ -73,7 +74,7 @@ def print_pdf(
                 f" {said or 'no output'}"
             )
         draft.write_bytes(travelling(made, target.resolve().parent))
-        draft.replace(target)
+        take_place(draft, target)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise PageError(f"{target}: {browser} could not print it: {error}") from error
     finally:

@@ -9,6 +9,7 @@ import difflib
 import os
 import re
 import shlex
+import sys
 import textwrap
 from collections.abc import Iterable
 from contextlib import suppress
@@ -106,6 +107,15 @@ def in_command(path: object) -> str:
     if re.fullmatch(r"[\w@%+=:,./~-]+" if os.name != "nt" else r"[\w@%+=:,./~\\-]+", text):
         return text
     return shlex.quote(text) if set(text) & set('"$`\\!') and os.name != "nt" else f'"{text}"'
+
+
+def one_command(words: Iterable[str]) -> str:
+    """``words`` as a line that a shell of this system takes apart again."""
+    if sys.platform == "win32":
+        from subprocess import list2cmdline
+
+        return list2cmdline(words)
+    return shlex.join(words)
 
 
 def short(text: str) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import TypeVar
 
 from textfiles.text import full_stop, words_of
@@ -16,21 +17,29 @@ from textfiles.text import full_stop, words_of
 T = TypeVar("T")
 ON_WINDOWS = sys.platform == "win32"
 AGAIN_S, PAUSE_S = 5.0, 0.005
+# names of devices in every folder, and what would be a stream beside a file
+NO_NAME = re.compile(r"(?i)(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[1-9¹²³]) *(\..*)?|.*:.*")
 TRIED = 1 << 16  # more than a file that a person works for has
 
 
-def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
+def replace_whole(
+    path: Path, data: bytes, *, synced: bool = False, again_s: float | None = None
+) -> None:
     """``data`` at ``path``: who reads it finds all of it, or what was there; ``synced``: after a
-    crash too. Raises OSError, which names the file; nothing is left beside it then.
+    crash too; ``again_s``: see `in_turn`. Raises OSError, which names the file; nothing is left
+    beside it then.
     """
-    replace_all([(path, data)], synced=synced)
+    replace_all([(path, data)], synced=synced, again_s=again_s)
 
 
-def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) -> list[Path]:
+def replace_all(
+    files: Iterable[tuple[Path, bytes]], *, synced: bool = False, again_s: float | None = None
+) -> list[Path]:
     """As `replace_whole`; none takes its place before all are written. Gives their paths."""
     parts: dict[Path, Path] = {}
     try:
         for path, data in files:
+            refuse_no_name(path)
             if path.is_dir():  # before anything is left beside it
                 raise IsADirectoryError(f"{path} is a folder")
             parts[path] = path.with_name(path.name + ".part")
@@ -44,7 +53,7 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
                 error.filename = error.filename or str(path)  # a full disk names none
                 raise
         for path, part in parts.items():
-            take_place(part, path)
+            take_place(part, path, again_s)
     except BaseException:
         for part in parts.values():
             part.unlink(missing_ok=True)
@@ -52,32 +61,58 @@ def replace_all(files: Iterable[tuple[Path, bytes]], *, synced: bool = False) ->
     return list(parts)
 
 
-def take_place(part: Path, path: Path) -> None:
-    """``part`` at ``path``, over what is there. Raises OSError."""
-    in_turn(lambda: part.replace(path))
+def take_place(part: Path, path: Path, again_s: float | None = None) -> None:
+    """``part`` at ``path``, over what is there. Raises OSError, which names ``path``."""
+    try:
+        in_turn(lambda: part.replace(path), again_s)
+    except PermissionError as error:
+        error.filename = str(path)  # nobody knows its part
+        if ON_WINDOWS:
+            error.strerror = f"{error.strerror} (is it read-only, or open in another program?)"
+        raise
 
 
-def in_turn(act: Callable[[], T]) -> T:
+def in_turn(act: Callable[[], T], again_s: float | None = None) -> T:
     """What ``act`` gives. Windows takes no file's place while somebody reads it, and gives nobody
-    what is just replaced: `AGAIN_S` long it is tried again there. Raises what ``act`` does.
+    what is just replaced: ``again_s`` (None: `AGAIN_S`) long it is tried again there. Raises what
+    ``act`` does.
     """
-    until_s = time.monotonic() + AGAIN_S
+    until_s = time.monotonic() + (AGAIN_S if again_s is None else again_s)
     while True:
         try:
             return act()
         except PermissionError:
-            if not ON_WINDOWS or time.monotonic() > until_s:
+            if not ON_WINDOWS or time.monotonic() >= until_s:
                 raise
         time.sleep(PAUSE_S)
 
 
 def try_write(path: Path) -> None:
     """Raises OSError where a file of `TRIED` bytes can't be written at ``path``. Leaves nothing."""
+    refuse_no_name(path)
     part = path.with_name(f"{path.name}.{os.getpid()}.part")  # nobody's
     try:
         part.write_bytes(bytes(TRIED))
     finally:
         part.unlink(missing_ok=True)
+
+
+def refuse_no_name(path: PurePath) -> None:
+    """Raises OSError for a path of Windows in which a name is a device's (CON), or has a colon."""
+    names = path.parts[1:] if path.anchor else path.parts
+    if isinstance(path, PureWindowsPath) and (bad := [*filter(NO_NAME.fullmatch, names)]):
+        why = f"no file or folder can have the name {bad[0]} on Windows"
+        raise OSError(errno.EINVAL, why, str(path))
+
+
+def nearest_there(path: Path) -> Path:
+    """``path``, or the nearest folder above it that is there. Raises OSError: its drive isn't."""
+    refuse_no_name(path)
+    whole = path.resolve()
+    for at in (whole, *whole.parents):
+        if at.exists():
+            return at
+    raise FileNotFoundError(errno.ENOENT, f"there is no {whole.anchor}", str(path))
 
 
 @contextmanager
@@ -95,6 +130,7 @@ def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> It
 
 def _made(folder: Path) -> list[Path]:
     """Make ``folder``; gives back which are new, itself first."""
+    refuse_no_name(folder)
     missing = [folder, *folder.parents]
     missing = missing[: next((k for k, one in enumerate(missing) if one.is_dir()), 0)]
     try:

@@ -28,7 +28,7 @@ from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
 from textfiles.text import range_text
-from textfiles.whole import new_folders, refusal, remove_empty, take_place
+from textfiles.whole import new_folders, refusal, refuse_no_name, remove_empty, take_place
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
 
@@ -229,6 +229,7 @@ def locked(folder: Path) -> Iterator[None]:
     """
     new = [one for one in (folder, *folder.parents) if not one.exists()]
     try:
+        refuse_no_name(folder)
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         remove_empty(new)

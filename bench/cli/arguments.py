@@ -9,7 +9,6 @@ import json
 import math
 import platform
 import re
-import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
@@ -21,8 +20,8 @@ from typing import Any, NamedTuple, TextIO
 
 from bench.version import __version__
 from textfiles.bounds import Bounds
-from textfiles.text import wrapped
-from textfiles.whole import refusal, try_write
+from textfiles.text import one_command, wrapped
+from textfiles.whole import nearest_there, refusal, refuse_no_name, try_write
 
 PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
 Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
@@ -101,16 +100,18 @@ def refuse_existing(
     """
     from bench.config import ConfigError
 
-    parents = out.resolve().parents
-    folder = next(one for one in parents if one.exists()) if makes_folder else parents[0]
-    if out.is_dir() or not folder.is_dir():
-        why = f"there is no folder {out.parent}" if not out.is_dir() else "this is a folder"
-        raise ConfigError.plain(f"{option} {out}: {why}; name a file in a folder that is there.")
-    if out.exists() and not replace:
-        raise ConfigError.plain(
-            f"{option} {out} is there already. Name another file, or give --replace."
-        )
     try:
+        refuse_no_name(out)
+        folder = nearest_there(out.parent) if makes_folder else out.resolve().parent
+        if out.is_dir() or not folder.is_dir():
+            why = f"there is no folder {out.parent}" if not out.is_dir() else "this is a folder"
+            raise ConfigError.plain(
+                f"{option} {out}: {why}; name a file in a folder that is there."
+            )
+        if out.exists() and not replace:
+            raise ConfigError.plain(
+                f"{option} {out} is there already. Name another file, or give --replace."
+            )
         try_write(folder / out.name)
     except OSError as error:
         why = refusal(error, "Name another place.")
@@ -121,7 +122,7 @@ def command_line() -> str:
     """The command as it was given, to be given again."""
     from bench.run.notify import without_secrets
 
-    return shlex.join(["teatbench", *without_secrets(sys.argv[1:])])
+    return one_command(["teatbench", *without_secrets(sys.argv[1:])])
 
 
 JSON_VERSION = 1  # of what `--json` prints; docs/json.md has the keys

@@ -191,6 +191,8 @@ def _with_cure(text: str, error: Exception) -> str:
 
 HELD = "What {} was to hold follows. Keep it: copy it into a file of that name."
 HINT = "Is the disk full, or the folder read-only?"
+if os.name == "nt":
+    HINT = "Is the disk full, the folder read-only, or the file open in another program?"
 MEMORY_WORDS = (
     "insufficient memory",
     "cannot allocate memory",

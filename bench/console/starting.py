@@ -24,6 +24,8 @@ from instruments.clock import Clock, wall_time
 LOGS = ".console"  # in the folder of runs
 BEGIN_S, POLL_S = 60.0, 0.2
 BEGUN = re.compile(r"Run folder: (.+)$", re.MULTILINE)
+# on Windows, where a console's window ends all that share it; nor has it a window of its own then
+APART = ("CREATE_NEW_PROCESS_GROUP", "CREATE_NO_WINDOW")
 TAIL = 4000  # characters of the output of a run that didn't begin
 
 
@@ -119,7 +121,7 @@ def start(arguments: Sequence[str], runs: Path, clock: Clock, known: str = "") -
             stdout=out,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+            creationflags=sum(getattr(subprocess, flag, 0) for flag in APART),
         )
     end_s = clock.now() + BEGIN_S
     while True:

@@ -24,7 +24,7 @@ from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
 from textfiles.tables import Row, TableError, read_table
 from textfiles.text import TextError, text_of
-from textfiles.whole import new_folders, replace_whole
+from textfiles.whole import new_folders, replace_whole, take_place
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -274,7 +274,7 @@ class RecordingWriter:
         with ExitStack() as at_end:
             at_end.callback(rmtree, making, ignore_errors=True)
             yield making
-            making.replace(folder)
+            take_place(making, folder)
 
     def add_truth(self, frame_id: str, rows: Sequence[TruthRow]) -> None:
         """Add the truth of a frame, which `add` has written, and write truth.csv anew."""

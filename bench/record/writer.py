@@ -32,7 +32,7 @@ from bench.record.state import NO_ENDING, left_in
 from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
 from textfiles.text import in_command
-from textfiles.whole import new_folders, sync_folder
+from textfiles.whole import in_turn, new_folders, sync_folder
 
 Tables = Sequence[tuple[str, Sequence[Row]]]
 FLUSH_EVERY = 60  # rows that may wait: one sync a minute of run time for the bath's readings
@@ -86,7 +86,8 @@ class Store:
             try:
                 # one floor down: who lists runs doesn't take it for one
                 session = cls._made(part / folder.name, files)
-                (part / folder.name).rename(folder)
+                # on Windows who looks through new files, as for viruses, holds their folder
+                in_turn(lambda: (part / folder.name).rename(folder))
             finally:
                 # why it could not be made says more than why it can't be cleared away
                 shutil.rmtree(part, ignore_errors=True)

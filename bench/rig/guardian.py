@@ -31,10 +31,11 @@ from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from bench.rig.guardian_stage import PLUGIN, StageStop, StageTarget, retried
 from bench.rig.hand_over import BathLock, write_note
+from bench.rig.watched_bench import WatchedBench
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.interface import Bath as AnyBath
 from instruments.bath.profile import PUMP, load_profile, load_relay
@@ -81,7 +82,7 @@ class HeartbeatReader:
     with a time limit), and echoes heartbeats to ``echo``. ``bench``: its process.
     """
 
-    def __init__(self, source: int, echo: int, bench: int) -> None:
+    def __init__(self, source: int, echo: int, bench: WatchedBench) -> None:
         self._echo = echo
         self._bench = bench
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -96,7 +97,7 @@ class HeartbeatReader:
             except queue.Empty:
                 if dying:
                     return "died", "the system is ending it", stopwatch_s()
-                state = _state_of(self._bench)
+                state = self._bench.state()
                 if dying := state == "dying":  # its last word may be in the pipe
                     continue
                 if why := _hang(stopwatch_s() - last_s, stopped=state == "stopped"):
@@ -144,7 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     source, echo = sys.stdin.fileno(), sys.stdout.fileno()
     if PLUGIN in f"{given.url} {given.stage}":
         source, echo = _apart(source, echo)
-    clock = RealClock()
+    clock, watched = RealClock(), WatchedBench(given.bench)
     try:
         bath = _bath_of(given, clock) if given.url else None
         at = StageTarget(**given.stage) if given.stage else None
@@ -156,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     preferred = _raise_priority()
     _tell_bench(echo, f"{READY} {taken}")
-    lost = HeartbeatReader(source, echo, given.bench).wait_for_loss()
+    lost = HeartbeatReader(source, echo, watched).wait_for_loss()
     if lost is None:
         lock.release()
         return 0
@@ -170,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     facts |= {"standby": False, "tries": 0, "error": "not tried yet"} if bath else {}
     record = Record(given.record, facts)
     lock.acts()
-    end_bench = partial(_kill, given.bench, record) if cause == "hung" else None
+    end_bench = partial(_end, watched, record) if cause == "hung" else None
     with _handed_over(lock, record):
         # a bench that could not reach its bath has seen to its stage itself
         if stop and (cause != "gave up" or bath is None):
@@ -246,24 +247,6 @@ def _hang(silent_s: float, *, stopped: bool) -> str:
     return f"no sign of life for {HANG_S:g} s" if silent_s >= HANG_S else ""
 
 
-def _state_of(process: int) -> Literal["dying", "stopped", "alive"]:
-    """What the system does with ``process``; ``alive`` where there is no /proc.
-
-    The system is ending it, or has, seconds before its pipe closes on a busy Linux, and a forked
-    process may hold that pipe open for good.
-    """
-    try:
-        status = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
-    except OSError:
-        return "dying" if Path("/proc/self/status").exists() else "alive"
-    text = dict(line.split(":", 1) for line in status.splitlines())
-    killed = 1 << (signal.SIGKILL - 1)
-    pending = int(text["SigPnd"], 16) | int(text["ShdPnd"], 16)
-    if "VmRSS" not in text or pending & killed:
-        return "dying"
-    return "stopped" if text["State"].split()[0] == "T" else "alive"
-
-
 def _raise_priority() -> dict[str, Any]:
     """Raise the priority, and lock what is loaded in memory, as far as the system grants it."""
     got: dict[str, Any] = {"nice": None, "memory_locked": False}
@@ -308,15 +291,9 @@ def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: flo
         record.add(pump=f"was left as it was: {error}")
 
 
-def _kill(bench: int, record: Record) -> None:
+def _end(bench: WatchedBench, record: Record) -> None:
     """End a bench that hangs and holds the port; its record is whole at every moment."""
-    killed = False
-    # else it has ended meanwhile, and its number may be another's
-    if bench == os.getppid():
-        with contextlib.suppress(OSError):
-            os.kill(bench, getattr(signal, "SIGKILL", signal.SIGTERM))
-            killed = True
-    record.add(killed=killed)
+    record.add(killed=bench.end())
 
 
 def _text(when: datetime) -> str:

@@ -29,14 +29,18 @@ from textfiles.whole import replace_whole
 
 HAND_OVER_S = 5.0  # a guardian that acts answers within a tenth of a second
 POLL_S = 0.05
+READERS_TURN_S = 0.2  # a bench or a console reads a note in far less
 MODULE = ".guardian"  # in the command line of each
 HANDED_OVER = "handed_over"
 
 
 def write_note(path: Path, note: Mapping[str, Any]) -> None:
-    """Whole or not at all; a disk that is full or gone doesn't keep a guardian from acting."""
+    """Whole or not at all; neither a disk that is full or gone keeps a guardian from acting, nor a
+    program that has the note open on Windows.
+    """
     with suppress(OSError):
-        replace_whole(path, json.dumps(note, indent=1).encode(), synced=True)
+        data = json.dumps(note, indent=1).encode()
+        replace_whole(path, data, synced=True, again_s=READERS_TURN_S)
 
 
 def bath_name(url: str) -> str:

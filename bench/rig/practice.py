@@ -147,11 +147,11 @@ def following(practice: Practice, clock: Clock, speed: float, folder: Path) -> I
         seen = left
         practice.jam_again()
         if (now := practice.shown) != last:
-            last = now
             choices = [dict(zip(("of", "is", "words"), one, strict=True)) for one in now.choices()]
             data = json.dumps(asdict(now) | {"choices": choices}).encode()
             with suppress(OSError):
-                replace_whole(folder / SHOWN, data)
+                replace_whole(folder / SHOWN, data, again_s=0.0)
+                last = now
         clock.call_at(clock.now() + LOOK_S * speed, look)
 
     look()

@@ -18,7 +18,7 @@ from pathlib import Path
 from shutil import disk_usage
 from typing import Any
 
-from bench.config import ConfigError
+from bench.config import ConfigError, writing
 from bench.files import write_synced
 from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
@@ -28,6 +28,7 @@ from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import fixed_key
 from instruments.world.plant import Plant
+from textfiles.whole import nearest_there
 
 PREPARING, SETTLING, MOVES = "preparing", "settling", "moves"
 SET_UPS, CAPTURES, TOUCHES = "set-ups", "captures", "touches"
@@ -250,7 +251,9 @@ def disk_mb(rig: LoadedRig, trials: int) -> float:
 
 
 def no_room(wanted_mb: float, folder: Path) -> str:
-    """What is said where ``wanted_mb`` are not free at ``folder``, which need not be there yet."""
+    """What is said where ``wanted_mb`` are not free at ``folder``, which need not be there yet.
+    Raises ConfigError where it can't be.
+    """
     there = _there(folder)
     if (free_mb := disk_usage(there).free / 1e6) >= wanted_mb:
         return ""
@@ -273,7 +276,8 @@ def refuse_no_room(rig: LoadedRig, trials: int, folder: Path, record: Path | Non
 
 
 def _there(folder: Path) -> Path:
-    return next(at for at in (folder.resolve(), *folder.resolve().parents) if at.exists())
+    with writing(folder):
+        return nearest_there(folder)
 
 
 def _disk(folder: Path) -> int:

@@ -107,7 +107,8 @@ class Live:
 
     def _replace(self, name: str, data: bytes) -> None:
         self._folder.mkdir(exist_ok=True)
-        replace_whole(self._folder / name, data)
+        # a viewer that has it open on Windows sees the next one: the run waits for no viewer
+        replace_whole(self._folder / name, data, again_s=0.0)
 
 
 def bath_state(watch: BathMonitor, expected_s: float, speed: float = 1.0) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.recording import Recording, RecordingError, RecordingWriter
 from bench.run.recordings import Recorder
 from reports.sanitize import csv_text
-from textfiles.whole import new_folders
+from textfiles.whole import new_folders, take_place
 
 SUMS, CARD, DESCRIPTION, BUDGETS = "SHA256SUMS", "README.md", "datapackage.json", "budgets.csv"
 NO_LICENCE = "none stated: ask whoever made it before you use or pass it on"
@@ -95,7 +95,7 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
         write_synced(making / DESCRIPTION, described.encode("utf-8"))
         sums = "".join(f"{sha256_of(making / name)}  {name}\n" for name in _files(making))
         write_synced(making / SUMS, sums.encode("utf-8"))
-        making.replace(out)
+        take_place(making, out)
     return out
 
 

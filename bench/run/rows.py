@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,6 +29,7 @@ from bench.truth.joint import FRAME_FACT
 from bench.version import __version__, versions
 from detector.protocol import Detector
 from instruments.clock import wall_time
+from textfiles.text import one_command
 
 
 def detection_tables(trial_id: str, answers: Sequence[Answer]) -> tuple[list[Row], list[Row]]:
@@ -129,7 +129,7 @@ def write_facts(
             **versions(),
         },
         "commit": commit(Path(__file__).resolve().parents[2] / ".git"),
-        "command": shlex.join(
+        "command": one_command(
             ["teatbench" if ours else str(program), *without_secrets(sys.argv[1:])]
         ),
         "wall_started": wall_time().isoformat(timespec="seconds"),

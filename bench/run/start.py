@@ -136,11 +136,11 @@ def run_queue(
     under_test = [_allowed(rig, script, how.detectors) for script in scripts]
     how = replace(how, seed=rig.rig.seed if how.seed is None else how.seed)
     ended: list[tuple[Path, RunState]] = []
+    refuse_no_room(rig, sum(len(script.planned) for script in scripts), out, how.record)
     with (
         locked(lock_path(rig), str(out.resolve()), events.warn),
         closing(OpenRig(rig, how, events)) as held,
     ):
-        refuse_no_room(rig, sum(len(script.planned) for script in scripts), out, how.record)
         warned = health.warnings(out, rig.rig.name)
         note = QueueNote.begin(out, rig.rig.name, [one.name for one in scripts])
         for number, (script, detectors) in enumerate(zip(scripts, under_test, strict=True), 1):

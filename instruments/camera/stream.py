@@ -8,6 +8,7 @@ post their ``words``.
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -99,6 +100,9 @@ class StreamServer:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = False  # so that closing waits for them
+    # a port whose connections have just ended is free at once; on Windows that is so anyway, and
+    # this would let a second server have a port that is taken
+    allow_reuse_address = os.name != "nt"
     owner: StreamServer
 
     def handle_error(self, request: Any, client_address: Any) -> None:

@@ -4,6 +4,7 @@ come back, make safe twice, close twice, Ctrl-C.
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -239,6 +240,8 @@ KINDS = {
 )
 def test_our_drivers_conform(kind: Callable[[], Subject], check: Check) -> None:
     [found] = conform(kind, (check,))
+    if found.outcome == "not checked" and not hasattr(signal, "setitimer"):
+        pytest.skip(found.why)
     assert found.outcome == "passed", found.why
     assert [t.name for t in threading.enumerate() if t.name.endswith("emulator")] == []
 

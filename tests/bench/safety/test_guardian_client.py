@@ -16,18 +16,20 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from bench.rig.guardian import DONE, HeartbeatReader
 from bench.rig.guardian import main as guardian
 from bench.rig.guardian_client import BEAT_S, UNANSWERED, GuardianClient, GuardianTarget, Heartbeat
+from bench.rig.watched_bench import WatchedBench
 from instruments.bath.driver import Bath
 from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
 from instruments.link import Link
 from tests.bench.safety.guards import HotBath, standby_after
 from tests.conftest import ROOT
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, within
 
 
 def guardian_of(hot: HotBath) -> GuardianClient:
@@ -141,35 +143,48 @@ def test_a_guardian_that_cannot_start_is_reported_with_its_own_words(tmp_path: P
         GuardianClient(GuardianTarget("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Heartbeat())
 
 
-BENCH_THAT_FORKS = """
+BENCH_WHOSE_PIPE_IS_HELD = """
 import os, subprocess, sys, time
 command = [sys.executable, "-m", "bench.rig.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
 child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 child.stdout.readline()
-print("ready", flush=True)
-forked = os.fork()
-if forked:
-    print(forked, flush=True)
+os.set_inheritable(child.stdin.fileno(), True)
+nowhere = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+holder = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"], close_fds=False, **nowhere)
+print(holder.pid, flush=True)
 time.sleep(100)
 """
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="sees the bench's end in /proc")
+@pytest.mark.skipif(sys.platform == "darwin", reason="macOS doesn't say that a process is ending")
 def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(hot: HotBath) -> None:
-    """As a process that it has forked keeps it, or the system, which is slow to end a process when
+    """As a process that it has started keeps it, or the system, which is slow to end a process when
     it has much to do.
     """
     record = hot.folder / "guardian.json"
-    command = [sys.executable, "-c", BENCH_THAT_FORKS, hot.url, str(record)]
+    command = [sys.executable, "-c", BENCH_WHOSE_PIPE_IS_HELD, hot.url, str(record)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
-        assert child.stdout.readline() == b"ready\n"
-        forked = int(child.stdout.readline())
+        holder = int(child.stdout.readline())
         child.kill()
         standby_after(hot.plant)
-        os.kill(forked, signal.SIGKILL)
+        psutil.Process(holder).kill()
     assert (hot.record()["cause"], hot.record()["why"]) == ("died", "the system is ending it")
+
+
+def test_a_bench_that_hangs_is_ended_though_a_launcher_stands_between_on_windows() -> None:
+    """As `.venv\\Scripts\\python.exe` is one. Elsewhere a guardian ends its parent alone."""
+    waits = [sys.executable, "-c", "input()"]
+    with subprocess.Popen(waits, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        watched = WatchedBench(process.pid)
+        assert watched.state() == "alive"
+        assert watched.end() is (sys.platform == "win32")
+        if sys.platform != "win32":
+            assert watched.state() == "alive"
+            process.kill()
+        assert process.wait(PATIENCE_S) != 0
+        assert watched.state() == ("alive" if sys.platform == "darwin" else "dying")
 
 
 MOVING, DETECTING = ("moving", 600.0, 10.0), ("detecting", 60.0, None)
@@ -260,12 +275,12 @@ def test_the_last_word_of_a_bench_that_ends_is_read_before_it_counts_as_dead(
     """A guardian that was frozen meanwhile sees the end in /proc before its thread reads the pipe."""
     source, bench_end = os.pipe()
 
-    def looked(_process: int) -> str:
+    def looked(_bench: WatchedBench) -> str:
         os.write(bench_end, DONE.encode() + b"\n")
         return "dying"
 
-    monkeypatch.setattr("bench.rig.guardian._state_of", looked)
+    monkeypatch.setattr(WatchedBench, "state", looked)
     with Path(os.devnull).open("wb") as echo:
-        reader = HeartbeatReader(source, echo.fileno(), os.getpid())
+        reader = HeartbeatReader(source, echo.fileno(), WatchedBench(os.getpid()))
         assert reader.wait_for_loss() is None
     os.close(bench_end)

@@ -118,6 +118,8 @@ def real_time(
     profile: RegisterProfile | RelayProfile, transport: str, *, unit_id: int | None = None
 ) -> Iterator[tuple[Device, Listener | PtyListener]]:
     """An emulated device in real time, on "tcp" or a pseudo-terminal ("pty")."""
+    if transport == "pty" and not hasattr(os, "openpty"):
+        pytest.skip("needs pseudo-terminals: Linux and macOS have them")
     framing: Framing = "tcp" if transport == "tcp" else "rtu"
     kind: type[Device] = RelayEmulator if isinstance(profile, RelayProfile) else BathEmulator
     clock, lock = RealClock(), threading.RLock()

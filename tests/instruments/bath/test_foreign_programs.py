@@ -33,6 +33,8 @@ from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
+WSAEINVAL = 10022  # winsock2.h
+
 
 def foreign(module: str, package: str) -> Any:
     """The module of a program of others; `absent` where it is not installed."""
@@ -63,7 +65,12 @@ def test_julabo_drives_an_emulated_julabo() -> None:
     async def talk(port: int) -> dict[str, Any]:
         url = f"serial-tcp://127.0.0.1:{port}"
         link = library.connection_for_url(url, concurrency="asyncio")
-        await link.open()
+        try:
+            await link.open()
+        except OSError as error:
+            if getattr(error, "winerror", 0) == WSAEINVAL:
+                pytest.skip("its library sets IP_TOS, which this system refuses")
+            raise
         try:
             bath = library.JulaboCF(link)
             await bath.set_point_1(33.5)

@@ -166,6 +166,15 @@ def test_what_is_sent(served: StreamServer) -> None:
     connection.close()
 
 
+def test_a_taken_port_is_refused(clock: RealClock) -> None:
+    """On Windows too, where two servers that reuse addresses may share one."""
+    source = Counting(clock)
+    with closing(StreamServer(source, clock)) as served:
+        taken = int(served.page_url.rstrip("/").rpartition(":")[2])
+        with pytest.raises(OSError, match=r"in use|denied|10013|10048"):
+            StreamServer(source, clock, port=taken)
+
+
 def test_no_stream_under_virtual_time() -> None:
     with pytest.raises(ValueError, match="in real time"):
         StreamServer(Counting(RealClock()), VirtualClock())
