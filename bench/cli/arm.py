@@ -101,6 +101,7 @@ def verify(given: argparse.Namespace) -> int:
     keys = (field.name for field in fields(bench.VerificationPlan))
     plan = bench.VerificationPlan(**{key: getattr(given, key) for key in keys})
     how = {"script": given.script, "accuracy_mm": given.accuracy_mm, "homed": given.homed}
+    how["unfinished"] = given.out.with_suffix(".unfinished.toml")
     warn = lambda text: say(in_switches(text, given))  # noqa: E731
     found = bench.verify_arm(given.port, plan, warn=warn, **how, **_link(given))
     bench.write_arm_file(found, given.out)

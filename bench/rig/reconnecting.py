@@ -59,7 +59,7 @@ def diagnosis(fault: InstrumentError) -> tuple[str, str]:
 
 
 def no_step() -> None:
-    """Nothing is done between its answer and its homing."""
+    """Nothing more is done."""
 
 
 def reach_arm(
@@ -121,6 +121,7 @@ class Reconnecting:
     say: Callable[[str], None]
     away_s: float
     stage: Stage | None = None
+    homed: Callable[[], None] = no_step  # called once the arm has homed again
 
     def keep(self, work: Callable[[], Done]) -> Done:
         """What ``work`` gives, done again after a loss. Raises as it, and as `wait`."""
@@ -155,3 +156,5 @@ class Reconnecting:
             self.say(f"{fault}\n{policy.check} {kept} {back}")
         wait_for(reach, fault, self.away_s, self.clock.now, self.clock.sleep, self.say)
         self.say(f"The {name} is back, and homed again.")
+        if name == "arm":
+            self.homed()
