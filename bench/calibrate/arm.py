@@ -99,7 +99,9 @@ class ArmSession:
             self.trying.go(step)
         self.operator.ask(Task(step.text, pedal=True))
 
-    def counts_homing(self) -> None:
+    def homed_again(self, reach: Callable[[], object]) -> None:
+        """Have ``reach`` do it, and count it. Raises as it."""
+        reach()
         self.homings += 1
 
     def say(self, text: str) -> None:
@@ -388,8 +390,8 @@ def read_touch(session: ArmSession, step: Step) -> Reading:
             session.trying.rest()
         session.operator.ask(request)
 
-    again = Reconnecting(session.arm, ask, session.clock, session.say, session.away_s)
-    again.homed = session.counts_homing
+    again = Reconnecting.of_arm(session.arm, ask, session.clock, session.say, session.away_s)
+    again.ready = {"arm": partial(session.homed_again, again.ready["arm"])}
     while True:
         try:
             reading = again.keep(touched)

@@ -18,6 +18,7 @@ from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import pattern_of, write_picture
 from bench.config import ConfigError, read_text, write_file
 from bench.rig.arm_files import axes_of
+from bench.rig.reconnecting import is_loss
 from bench.truth.touching import TipReader, same_place_mm
 from detector.calibration import Part, Record
 from detector.calibration.boards import Board
@@ -183,8 +184,8 @@ HOMED_AGAIN = "The arm was homed again."
 
 @dataclass(frozen=True, slots=True)
 class TouchSession:
-    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find_arm`` waits
-    for an arm that was lost, or raises its fault.
+    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find`` waits for
+    what was lost, or raises its fault.
     """
 
     look: Callable[[], Mapping[str, Grey]]
@@ -192,7 +193,7 @@ class TouchSession:
     tip: TipReader
     tip_radius_mm: float
     report: Callable[[str], None]
-    find_arm: Callable[[InstrumentError], None]
+    find: Callable[[InstrumentError], None]
 
 
 def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPoints:
@@ -261,6 +262,8 @@ def _fixed(asking: TouchSession, board: Board, position: int, folder: Path) -> t
             pictures = asking.look()
             pixels = _looked(pictures, board)
         except (ViewRefusedError, InstrumentError) as why:
+            if isinstance(why, InstrumentError) and is_loss(why):
+                asking.find(why)
             asking.report(f"position {position}: refused: {why}")
             again = f"Not found ({why}) "
             continue
@@ -311,7 +314,7 @@ def _touched(asking: TouchSession, board: Board, at: int, before: list[Reading])
             again = f"{moves} Touch it once more."
             continue
         except InstrumentError as error:
-            asking.find_arm(error)
+            asking.find(error)
             again = "The touches before this one are kept."
             if before:
                 _compare(asking, board, before)
@@ -349,7 +352,7 @@ def _compare(asking: TouchSession, board: Board, before: list[Reading]) -> None:
             asking.report(str(moves))
             continue
         except InstrumentError as error:
-            asking.find_arm(error)
+            asking.find(error)
             continue
         if off_mm > (limit_mm := same_place_mm(asking.tip.settings)):
             what = f"it was homed again, and point {at + 1} is {off_mm:.2f} mm from where it was"

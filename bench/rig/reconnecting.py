@@ -82,7 +82,7 @@ def reach_stage(stage: Stage, answers: Callable[[], None] = no_step) -> None:
 
 
 def wait_for(
-    attempt: Callable[[], None],
+    attempt: Callable[[], object],
     fault: InstrumentError,
     patience_s: float,
     now: Callable[[], float],
@@ -95,7 +95,8 @@ def wait_for(
     end_s, said = now() + patience_s, str(fault)
     while True:
         try:
-            return attempt()
+            attempt()
+            return
         except InstrumentError as why:
             if not isinstance(why, LinkError) and str(why) != said:
                 said = str(why)
@@ -109,19 +110,40 @@ TRIES = 10  # of one piece of work outside of a run: a person is there each time
 BLOCKED = "Look whether something is in the stage's way. Then keep your hands off it: it will home."
 
 
+def is_loss(fault: InstrumentError) -> bool:
+    """Whether an instrument is gone, or nothing that comes from it is of use."""
+    return diagnosis(fault)[1] in (GONE, GARBLED)
+
+
 @dataclass(slots=True, eq=False)
 class Reconnecting:
-    """Waits for ``arm`` and ``stage`` (None: there is none) outside of a run, for ``away_s`` each
-    time; ``ask`` and ``say`` speak to the person. What was touched before is kept.
+    """Waits outside of a run for what drops out, ``away_s`` each time. ``ready``: by name, makes an
+    instrument ready again, or raises while it is away; ``ask`` and ``say`` speak to the person,
+    ``kept`` says that nothing is lost.
     """
 
-    arm: Arm
+    ready: Mapping[str, Callable[[], object]]
     ask: Callable[[Request], object]
     clock: Clock
     say: Callable[[str], None]
     away_s: float
-    stage: Stage | None = None
-    homed: Callable[[], None] = no_step  # called once the arm has homed again
+    kept: str = "What was touched so far is kept."
+
+    @classmethod
+    def of_arm(
+        cls,
+        arm: Arm,
+        ask: Callable[[Request], object],
+        clock: Clock,
+        say: Callable[[str], None],
+        away_s: float,
+        stage: Stage | None = None,
+    ) -> Reconnecting:
+        """For an arm, and the stage where there is one."""
+        ready: dict[str, Callable[[], object]] = {"arm": partial(reach_arm, arm, ask)}
+        if stage is not None:
+            ready["stage"] = partial(reach_stage, stage)
+        return cls(ready, ask, clock, say, away_s)
 
     def keep(self, work: Callable[[], Done]) -> Done:
         """What ``work`` gives, done again after a loss. Raises as it, and as `wait`."""
@@ -133,28 +155,22 @@ class Reconnecting:
         return work()
 
     def wait(self, fault: InstrumentError) -> None:
-        """Until what ``fault`` speaks of is back, and homed; a stage that refuses is looked at by
-        the person first. Raises ``fault`` where it stays away, and one that is no loss of the arm
-        or the stage; OperatorAbort.
+        """Until what ``fault`` speaks of is ready again; a stage that refuses is looked at by the
+        person first. Raises ``fault`` where it stays away, and one that is no loss of what there
+        is; OperatorAbort.
         """
-        (name, how), stage = diagnosis(fault), self.stage
-        policy = POLICIES.get((name, how))
-        if name == "arm":
-            reach = partial(reach_arm, self.arm, self.ask)
-        elif name == "stage" and stage is not None:
-            reach = partial(reach_stage, stage)
-        else:
+        name, how = diagnosis(fault)
+        jammed = (name, how) == ("stage", REFUSES)
+        ready, policy = self.ready.get(name), POLICIES.get((name, how))
+        if ready is None or policy is None or not (is_loss(fault) or jammed):
             raise fault
-        if policy is None:
-            raise fault
-        kept = "What was touched so far is kept."
-        if how == REFUSES:
-            self.say(f"{fault}\n{kept}")
+        are = "are" if name == "cameras" else "is"
+        if jammed:
+            self.say(f"{fault}\n{self.kept}")
             self.ask(Task(BLOCKED))
         else:
-            back = f"It goes on by itself when the {name} is back."
-            self.say(f"{fault}\n{policy.check} {kept} {back}")
-        wait_for(reach, fault, self.away_s, self.clock.now, self.clock.sleep, self.say)
-        self.say(f"The {name} is back, and homed again.")
-        if name == "arm":
-            self.homed()
+            back = f"It goes on by itself when the {name} {are} back."
+            self.say(f"{fault}\n{policy.check} {self.kept} {back}")
+        wait_for(ready, fault, self.away_s, self.clock.now, self.clock.sleep, self.say)
+        homed = "" if name == "cameras" else ", and homed again"
+        self.say(f"The {name} {are} back{homed}.")
