@@ -5,7 +5,7 @@ stands on the table, and how good it is. The person is asked at the terminal, or
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -260,7 +260,10 @@ def _kept_in(
 
     def keep(found: Verification) -> None:
         nonlocal kept
-        if path is not None:
+        # a full disk: the touches go on, and the whole file may be written yet
+        with suppress(ConfigError):
+            if path is None:
+                return
             write_file(Path(path), unfinished_text(found))
             kept = f"kept in {path}: {plural(len(found.locations), 'divot')}"
             kept += f", {plural(len(found.lengths), 'length')}" if found.lengths else ""

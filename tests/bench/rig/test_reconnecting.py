@@ -112,7 +112,7 @@ def test_a_frame_is_touched_anew_where_the_arm_homes_elsewhere(
 
 @pytest.mark.slow
 def test_what_an_arms_command_had_is_kept_or_named_where_it_does_not_end(
-    tmp_path: Path, monkeypatch: Patch, said: Said
+    tmp_path: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     prompts = ["Fix the divot", *["tip in the"] * 5, "Fix the divot", *["tip in the"] * 2]
     person = Person(monkeypatch, *prompts, ("touch 3 of 5", "a"))
@@ -120,6 +120,7 @@ def test_what_an_arms_command_had_is_kept_or_named_where_it_does_not_end(
     verify = "arm verify --port emulator: --homed --distances 2 --touches 5 --out {}"
     assert teatbench(verify, out) == 3
     assert f"Not verified; kept in {kept}: 1 divot." in " ".join(person.text.split())
+    assert "the operator aborted; nothing was written" not in capsys.readouterr().err
     assert not out.exists()
     found = tomllib.loads(kept.read_text(encoding="utf-8"))
     assert [(one["where"], len(one["tips_mm"])) for one in found["location"]] == [("near", 5)]
