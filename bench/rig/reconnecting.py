@@ -92,7 +92,7 @@ def wait_for(
     """Until ``attempt`` passes. Raises ``fault`` after ``patience_s``, and what ``wait`` raises.
     What else keeps the instrument away than a link without an answer is said, once each.
     """
-    end_s, said = now() + patience_s, str(fault)
+    started_s, said = now(), str(fault)
     while True:
         try:
             attempt()
@@ -101,7 +101,7 @@ def wait_for(
             if not isinstance(why, LinkError) and str(why) != said:
                 said = str(why)
                 say(said)
-        if now() >= end_s:
+        if now() - started_s >= patience_s:
             raise fault
         wait(EVERY_S)
 
