@@ -99,6 +99,7 @@ from bench.campaign.shards import query_campaign as query_campaign
 from bench.config import ConfigError as ConfigError
 from bench.dry_run.pose_checks import ScriptCheck as ScriptCheck
 from bench.record.check import CheckResult as CheckResult
+from bench.record.check import DamagedError as DamagedError
 from bench.record.check import check_record as check_record
 from bench.record.check import checked_first as checked_first
 from bench.record.check import damage_text as damage_text

@@ -5,7 +5,7 @@ stands on the table, and how good it is. The person is asked at the terminal, or
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from bench.rig.arm_files import (
     VerificationLimits,
     frame_text,
     load_frame,
+    unfinished_text,
     verification_text,
 )
 from bench.rig.leaving import to_stderr
@@ -49,6 +50,7 @@ from instruments.microscribe.pedals import Pedal
 from instruments.operators.operator import Operator
 from instruments.points import points_url
 from textfiles.bounds import ABOVE_0, COUNT
+from textfiles.text import plural
 
 ARM = ArmTable.model_fields
 BAUD, ANSWER_S = ARM["baud"].default, ARM["answer_s"].default
@@ -218,11 +220,13 @@ def verify_arm(
     capture: CaptureFile | None = None,
     operator: Operator | None = None,
     warn: Callable[[str], None] = to_stderr,
+    unfinished: Path | str | None = None,
 ) -> VerifiedArm:
     """Have the person do what ``plan`` says (divots at three distances for None), and hold the
     touches against the requirement ``arm_verified`` of ``script`` (the shipped one) and the stated
     standard uncertainty of a point, ``accuracy_mm`` (a MicroScribe 3DX's 0.23 mm for None; a file
-    of points needs its own). What can't be shown then is said to ``warn``. Raises as `read_arm`.
+    of points needs its own). What can't be shown then is said to ``warn``. ``unfinished``
+    keeps the divots and lengths that are done, until all are. Raises as `read_arm`.
     """
     check_within(ABOVE_0, accuracy_mm=accuracy_mm)
     plan, rule = plan or VerificationPlan(), limits_of(None if script is None else str(script))
@@ -234,8 +238,9 @@ def verify_arm(
         raise ConfigError.plain(what)
     u_mm = accuracy_mm or float(ARM["accuracy_mm"].default)
     how: dict[str, Any] = {"homed": homed, "operator": operator, "length_mm": plan.length_mm}
-    with open_session(url, baud, answer_s, capture, **how) as session:
-        found = verify(session, plan, today())
+    opened = open_session(url, baud, answer_s, capture, **how)
+    with opened as session, _kept_in(unfinished, warn) as keep:
+        found = verify(session, plan, today(), keep)
     stated = stated_fact(ArmTable.model_construct(url=url, accuracy_mm=u_mm))
     lengths: Sequence[LengthTest] = found.lengths
     if not lengths and rule.dated_required:  # none was measured, and one is asked for
@@ -244,6 +249,32 @@ def verify_arm(
     limits = VerificationLimits(location_mm, length_limit_mm(rule, stated, lengths))
     against = tuple(contradictions(rule, stated, (), found))
     return VerifiedArm(found, limits, u_mm, against, tuple(check_verification(stated, found)))
+
+
+@contextmanager
+def _kept_in(
+    path: Path | str | None, warn: Callable[[str], None]
+) -> Iterator[Callable[[Verification], None]]:
+    """Writes what it gets to ``path``, and says so where the verification doesn't end."""
+    kept = "nothing is kept"
+
+    def keep(found: Verification) -> None:
+        nonlocal kept
+        # a full disk: the touches go on, and the whole file may be written yet
+        with suppress(ConfigError):
+            if path is None:
+                return
+            write_file(Path(path), unfinished_text(found))
+            kept = f"kept in {path}: {plural(len(found.locations), 'divot')}"
+            kept += f", {plural(len(found.lengths), 'length')}" if found.lengths else ""
+
+    try:
+        yield keep
+    except BaseException:
+        warn(f"Not verified; {kept}. A verification is touched in one go: give the command again.")
+        raise
+    if path is not None:
+        Path(path).unlink(missing_ok=True)
 
 
 def write_arm_file(found: TableFrame | VerifiedArm, out: Path | str) -> None:

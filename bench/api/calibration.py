@@ -71,7 +71,9 @@ def take_views(
     """
     folder = free_folder(Path(out))
     with open_cameras_of(rig, known=known, seed=seed, capture=capture) as (opened, look):
-        kept = gather(look, opened.operator, board, wanted, folder, say)
+        who = opened.operator.ask, opened.clock, say, opened.loaded.rig.limits.away_s
+        lost = Reconnecting({"cameras": look}, *who, "The views so far are kept.")
+        kept = gather(look, opened.operator, board, wanted, folder, say, lost.wait)
         opened.operator.ask(Finish())
         identity = dict(opened.cameras.identity)
     say(f"{plural(kept, 'view')} in {folder}")
@@ -96,8 +98,9 @@ def touch_points(
         try:
             opened.home()
             radius_mm = opened.loaded.rig.arm.tip_radius_mm
-            who = opened.arm, opened.operator.ask, opened.clock
-            lost = Reconnecting(*who, say, opened.loaded.rig.limits.away_s)
+            who = opened.arm, opened.operator.ask, opened.clock, say
+            lost = Reconnecting.of_arm(*who, opened.loaded.rig.limits.away_s)
+            lost.ready = {**lost.ready, "cameras": look}
             asking = TouchSession(look, opened.operator, opened.tip, radius_mm, say, lost.wait)
             gather_points(asking, board, folder)
             opened.operator.ask(Finish())

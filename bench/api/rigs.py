@@ -263,7 +263,7 @@ class OpenRig:
         toucher = Toucher(ask, self.tip, self.loaded.rig.arm, self.clock, self.check)
         ends: Ends = ends_of(stands.phantom.moved(self._pose))
         away_s, so_far = self.loaded.rig.limits.away_s, SoFar()
-        lost = Reconnecting(self.arm, ask, self.clock, self._warn, away_s)
+        lost = Reconnecting.of_arm(self.arm, ask, self.clock, self._warn, away_s)
         if teat is None:
             points, _ = lost.keep(lambda: toucher.touch_all(ends, so_far))
             teats: Sequence[int] = range(1, len(points) + 1)

@@ -266,13 +266,15 @@ def write_report(
     folder: Path | str, *, baseline: Path | str | None = None, damage: Damage = None
 ) -> Reported:
     """Write the report of a run again: `teatbench report`; compared with the older run ``baseline``
-    of the same scenes. ``damage`` as of `resume_run`. Raises ConfigError.
+    of the same scenes. ``damage`` as of `resume_run`. Raises ConfigError; a damaged record's report
+    of before is withdrawn then.
     """
     from bench.report.comparison import baseline_parts
     from bench.report.page import write_run_report
+    from bench.results.exports import report_withdrawn
 
     run, older = Path(folder), [Path(baseline)] if baseline is not None else []
-    with known([run, *older], damage) as there:
+    with report_withdrawn(run), known([run, *older], damage) as there:
         # first: a comparison is a look, which the record that is reported then has
         parts = tuple(part for one in older for part in baseline_parts(one, run, there))
         return write_run_report(run, parts, there)

@@ -10,9 +10,9 @@ person takes part.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 
@@ -41,6 +41,7 @@ from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.reconnecting import Reconnecting
 from bench.rig.urls import EMULATED, arm_url
 from bench.script.model import ArmRequirement, find_script, load_script
+from bench.truth.touching import same_place_mm
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, wall_time
 from instruments.drivers.protocols import Arm
@@ -87,6 +88,7 @@ class ArmSession:
     operator: Operator
     trying: TryingArm | None
     away_s: float = AWAY_S
+    homings: int = 0  # since it was lost
 
     def ask(self, text: str) -> None:
         self.operator.ask(Task(text))
@@ -96,6 +98,11 @@ class ArmSession:
         if self.trying:
             self.trying.go(step)
         self.operator.ask(Task(step.text, pedal=True))
+
+    def homed_again(self, reach: Callable[[], object]) -> None:
+        """Have ``reach`` do it, and count it. Raises as it."""
+        reach()
+        self.homings += 1
 
     def say(self, text: str) -> None:
         if isinstance(self.operator, Console):
@@ -211,9 +218,41 @@ ROUND: tuple[tuple[str, Triple], ...] = (
 
 def touch_frame(session: ArmSession, checks: Sequence[Triple | None], made: datetime) -> TableFrame:
     """A frame from three touches and one for each of ``checks`` (None: anywhere in the plane)."""
+    while True:
+        touched = list[str]()
+        try:
+            return _frame(session, checks, made, touched)
+        except _HomedElsewhereError as why:
+            session.say(f"{why} All points are touched anew.")
+        except BaseException:
+            if touched:
+                lost = f"Touched so far, and lost: {', '.join(touched)}."
+                session.say(f"{lost} Nothing was written: a frame is touched in one go.")
+            raise
+
+
+class _HomedElsewhereError(Exception):
+    """An arm that was homed again reads another place of the point that it touched before."""
+
+
+def _frame(
+    session: ArmSession, checks: Sequence[Triple | None], made: datetime, names: list[str]
+) -> TableFrame:
+    """``names`` gets those of the touched points. Raises _HomedElsewhereError, and as a touch."""
+    first: list[tuple[Step, Reading]] = []
 
     def touched(step: Step, name: str) -> TouchedPoint:
-        reading = read_touch(session, step)
+        homings, reading = session.homings, read_touch(session, step)
+        if session.homings != homings and first:  # the origin is a point, not any of a line
+            again, before = first[0]
+            text = f"The arm was homed again. {again.text} It shows whether those before count."
+            seen = read_touch(session, replace(again, text=text))
+            off_mm = float(np.linalg.norm(seen.tip_mm - before.tip_mm))
+            if off_mm > (limit_mm := same_place_mm(ArmTable.model_construct(url=EMULATED))):
+                what = f"The origin is {off_mm:.2f} mm from where it was, limit {limit_mm:.2f} mm."
+                raise _HomedElsewhereError(what)
+        first.append((step, reading))
+        names.append(name)
         x, y, z = (float(v) for v in reading.tip_mm)
         return TouchedPoint(name, (x, y, z), float(reading.spread_mm), step.world_mm)
 
@@ -249,20 +288,32 @@ def touch_frame(session: ArmSession, checks: Sequence[Triple | None], made: date
     return frame
 
 
-def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verification:
-    """The readings that ``plan`` asks for, as a verification. Raises as its touches do."""
+def verify(
+    session: ArmSession,
+    plan: VerificationPlan,
+    made: datetime,
+    keep: Callable[[Verification], None] = lambda _: None,
+) -> Verification:
+    """The readings that ``plan`` asks for, as a verification; ``keep`` gets what there is of it
+    after each divot and each length. Raises as its touches do.
+    """
+    serial_number, lengths = session.arm.identity.serial_number, list[LengthTest]()
+
+    def so_far() -> Verification:
+        return Verification(made, serial_number, tuple(locations), tuple(lengths), plan.gauge)
+
     names = {1: ("middle",), 2: ("near", "far"), 3: ("near", "middle", "far")}[plan.distances]
-    locations = []
+    locations = list[LocationTest]()
     for name in names:
         still = f"It must not move until its {plan.touches} touches are done."
         session.ask(f"Fix the divot {DIVOTS[name]}. {still}")
         test = _divot(session, name, plan.touches)
         locations.append(test)
+        keep(so_far())
         session.say(
             f"{name}: within {test.largest_mm:.2f} mm of the mean, 2 sd {test.two_sd_mm:.2f} mm,"
             f" {swing_text(test)}."
         )
-    lengths: list[LengthTest] = []
     for number in range(plan.directions):
         if plan.length_mm is None:
             break
@@ -276,9 +327,9 @@ def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verif
         ends_mm2 = None if own_a is None or own_b is None else own_a + own_b
         length = LengthTest(where, a, b, plan.length_mm, plan.length_u_mm, ends_mm2)
         lengths.append(length)
+        keep(so_far())
         session.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
-    serial_number = session.arm.identity.serial_number
-    return Verification(made, serial_number, tuple(locations), tuple(lengths), plan.gauge)
+    return so_far()
 
 
 def _end(
@@ -339,7 +390,8 @@ def read_touch(session: ArmSession, step: Step) -> Reading:
             session.trying.rest()
         session.operator.ask(request)
 
-    again = Reconnecting(session.arm, ask, session.clock, session.say, session.away_s)
+    again = Reconnecting.of_arm(session.arm, ask, session.clock, session.say, session.away_s)
+    again.ready = {"arm": partial(session.homed_again, again.ready["arm"])}
     while True:
         try:
             reading = again.keep(touched)

@@ -98,7 +98,7 @@ def calibrate_stage(
                 serial_number=arm.identity.serial_number,
                 report=say,
             )
-            return Reconnecting(*who, stage).keep(made)
+            return Reconnecting.of_arm(*who, stage).keep(made)
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
         finally:  # the arm signed off, whatever came before

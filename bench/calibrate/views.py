@@ -22,6 +22,7 @@ from bench.config import ConfigError, check_within
 from bench.files import png_bytes, write_synced
 from bench.record.recording import RecordingError, read_grey
 from bench.rig.loading import drawn
+from bench.rig.reconnecting import is_loss
 from detector.calibration.boards import Board
 from detector.calibration.cameras import (
     COLUMNS,
@@ -311,7 +312,7 @@ def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:
 
 
 MOST_VIEWS = 60
-TRIES = 3  # of one view, where a camera does not answer: its cable is put back meanwhile
+TRIES = 3  # of one view, where a camera gives none
 SHOWN = 3  # of what is missing, in one instruction
 GUIDE = "guide.png"
 HEIGHT_PX = 480  # of each camera's part of the guide's picture
@@ -337,8 +338,11 @@ def gather(
     wanted: ViewsRequest,
     folder: Path,
     report: Callable[[str], None],
+    find: Callable[[InstrumentError], None] = lambda _: None,
 ) -> int:
-    """Keep views as CAMERA/NN.png; returns how many. Raises OperatorAbort, ConfigError."""
+    """Keep views as CAMERA/NN.png; returns how many. ``find`` waits for a camera that was lost, or
+    raises its fault. Raises OperatorAbort, ConfigError.
+    """
     guide = Guide(board, wanted.guided)
     pattern, number, lost = pattern_of(board), 1, 0
     while number <= wanted.most:
@@ -355,9 +359,8 @@ def gather(
             report(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
             return number - 1
         except InstrumentError as error:
-            if (lost := lost + 1) == TRIES:
-                _report_kept(number - 1, folder, report)
-                raise
+            lost += 1
+            _await(error, lost, find, lambda: _report_kept(number - 1, folder, report))  # noqa: B023
             report(f"view {number}: {error} The view is asked for again.")
             continue
         for camera in wanted.cameras:
@@ -382,6 +385,25 @@ def gather(
         f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}."
     )
     return wanted.most
+
+
+def _await(
+    error: InstrumentError,
+    lost: int,
+    find: Callable[[InstrumentError], None],
+    report_kept: Callable[[], None],
+) -> None:
+    """Until a camera that was lost is back. Raises ``error`` where it stays away, and after
+    `TRIES` in a row.
+    """
+    try:
+        if lost == TRIES:
+            raise error
+        if is_loss(error):
+            find(error)
+    except InstrumentError:
+        report_kept()
+        raise
 
 
 def _report_kept(views: int, folder: Path, report: Callable[[str], None]) -> None:

@@ -18,7 +18,8 @@ from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import pattern_of, write_picture
 from bench.config import ConfigError, read_text, write_file
 from bench.rig.arm_files import axes_of
-from bench.truth.touching import TipReader
+from bench.rig.reconnecting import is_loss
+from bench.truth.touching import TipReader, same_place_mm
 from detector.calibration import Part, Record
 from detector.calibration.boards import Board
 from detector.calibration.corners import ViewRefusedError, find_board, order_alike
@@ -178,12 +179,13 @@ MISTAKEN = 0.25
 WHERE = ("high and near", "lower and farther, tilted another way")
 POINTS_FILE = "points.csv"
 COLOUR = (0, 200, 255)
+HOMED_AGAIN = "The arm was homed again."
 
 
 @dataclass(frozen=True, slots=True)
 class TouchSession:
-    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find_arm`` waits
-    for an arm that was lost, or raises its fault.
+    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find`` waits for
+    what was lost, or raises its fault.
     """
 
     look: Callable[[], Mapping[str, Grey]]
@@ -191,17 +193,14 @@ class TouchSession:
     tip: TipReader
     tip_radius_mm: float
     report: Callable[[str], None]
-    find_arm: Callable[[InstrumentError], None]
+    find: Callable[[InstrumentError], None]
 
 
 def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPoints:
     """All points; pictures and table are kept in ``folder``. Raises OperatorAbort, DeviceError."""
     parts = []
     for position in range(1, POSITIONS + 1):
-        seen = _fixed(asking, board, position, folder)
-        readings: list[Reading] = []
-        for at in range(len(nine(board))):
-            readings.append(_touched(asking, board, at, readings))
+        seen, readings = _position(asking, board, position, folder)
         asking.operator.ask(Release())
         centres, axes = [one.tip_mm for one in readings], axes_of([one.axis for one in readings])
         parts.append((*seen, under_ball(centres, axes, asking.tip_radius_mm)))
@@ -212,6 +211,34 @@ def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPo
         write_file(folder / POINTS_FILE, table.getvalue())  # whatever becomes of the next position
         asking.report(f"{len(rows)} points are kept in {folder / POINTS_FILE}")
     return points
+
+
+class _RefusedError(DeviceError):
+    """The touches of a position don't fit together: it is done again."""
+
+
+def _position(
+    asking: TouchSession, board: Board, position: int, folder: Path
+) -> tuple[tuple[Array, Array], list[Reading]]:
+    """The nine points' pixels and readings at one place of the board; done again from its board
+    where they don't fit together. Raises DeviceError once that was so `TRIES` times.
+    """
+    for left in reversed(range(TRIES)):
+        seen, readings = _fixed(asking, board, position, folder), list[Reading]()
+        try:
+            for at in range(len(nine(board))):
+                readings.append(_touched(asking, board, at, readings))
+        except _RefusedError as why:
+            if not left:
+                raise
+            kept = "The points of the position before are kept. " if position > 1 else ""
+            asking.report(
+                f"{why}\n{kept}Position {position} is done again: fix the board so that no touch"
+                " moves it, and look for the numbers in its picture."
+            )
+            continue
+        return seen, readings
+    raise AssertionError("the last try returns or raises")
 
 
 def nine(board: Board) -> tuple[int, ...]:
@@ -235,6 +262,8 @@ def _fixed(asking: TouchSession, board: Board, position: int, folder: Path) -> t
             pictures = asking.look()
             pixels = _looked(pictures, board)
         except (ViewRefusedError, InstrumentError) as why:
+            if isinstance(why, InstrumentError) and is_loss(why):
+                asking.find(why)
             asking.report(f"position {position}: refused: {why}")
             again = f"Not found ({why}) "
             continue
@@ -285,8 +314,10 @@ def _touched(asking: TouchSession, board: Board, at: int, before: list[Reading])
             again = f"{moves} Touch it once more."
             continue
         except InstrumentError as error:
-            asking.find_arm(error)
+            asking.find(error)
             again = "The touches before this one are kept."
+            if before:
+                _compare(asking, board, before)
             continue
         printed, wrong = board.points_mm[list(corners)], ""
         for earlier, known in enumerate(before):
@@ -302,7 +333,31 @@ def _touched(asking: TouchSession, board: Board, at: int, before: list[Reading])
         again = wrong
         asking.report(again)
     what = f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}"
-    raise DeviceError("arm", what)
+    raise _RefusedError(
+        "arm", what, hint="Does the board stand fast, and is its file the right one?"
+    )
+
+
+def _compare(asking: TouchSession, board: Board, before: list[Reading]) -> None:
+    """One touch of the last point shows whether an arm that was homed again counts on from the
+    same place. Raises _RefusedError where it doesn't.
+    """
+    at = len(before) - 1
+    text = f"Touch point {at + 1} once more: it shows whether the touches before still count."
+    while True:
+        asking.operator.ask(BoardTouch(nine(board)[at], text, HOMED_AGAIN))
+        try:
+            off_mm = float(np.linalg.norm(asking.tip.read().tip_mm - before[at].tip_mm))
+        except TouchAgainError as moves:
+            asking.report(str(moves))
+            continue
+        except InstrumentError as error:
+            asking.find(error)
+            continue
+        if off_mm > (limit_mm := same_place_mm(asking.tip.settings)):
+            what = f"it was homed again, and point {at + 1} is {off_mm:.2f} mm from where it was"
+            raise _RefusedError("arm", f"{what}, limit {limit_mm:.2f} mm")
+        return
 
 
 def under_ball(centres_mm: list[Array], axes: Array | None, radius_mm: float) -> Array:

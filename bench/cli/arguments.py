@@ -11,8 +11,9 @@ import platform
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from contextvars import ContextVar
+from datetime import datetime
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
@@ -23,6 +24,7 @@ from textfiles.bounds import Bounds
 from textfiles.text import one_command, wrapped
 from textfiles.whole import nearest_there, refusal, refuse_no_name, try_write
 
+STAMP = re.compile(r"\d{8}-\d{6}")  # with which the bench begins the name of a run
 PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
 Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
 
@@ -54,7 +56,21 @@ def a_run(text: str) -> Path:
         return Path(text)
     there = (path.parent for path in Path("runs").glob("*/run.sqlite"))
     fitting = (run for run in there if text in (run.name, "latest"))
-    return max(fitting, key=lambda run: run.name, default=Path(text))
+    return max(fitting, key=_begun, default=Path(text))
+
+
+def _begun(run: Path) -> tuple[str, str]:
+    """When it was begun, by its name or, where a person has given it one, by its record; its name.
+    One that can't be read is the oldest.
+    """
+    if STAMP.match(run.name):
+        return run.name, run.name
+    import bench
+
+    with suppress(bench.ConfigError, LookupError, ValueError):
+        begun = datetime.fromisoformat(bench.read_run(run).facts["wall_started"])
+        return f"{begun:%Y%m%d-%H%M%S}", run.name
+    return "", run.name
 
 
 def complain(text: str, code: int) -> int:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable
 from contextlib import closing, suppress
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import bench
@@ -97,12 +98,27 @@ def frame(given: argparse.Namespace) -> int:
     return CODES.met
 
 
+def _written_ns(path: Path) -> int:
+    """When it was written, ns since 1970; 0 where it isn't there."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 def verify(given: argparse.Namespace) -> int:
     keys = (field.name for field in fields(bench.VerificationPlan))
     plan = bench.VerificationPlan(**{key: getattr(given, key) for key in keys})
     how = {"script": given.script, "accuracy_mm": given.accuracy_mm, "homed": given.homed}
+    how["unfinished"] = kept = given.out.with_suffix(".unfinished.toml")
+    before_ns = _written_ns(kept)
     warn = lambda text: say(in_switches(text, given))  # noqa: E731
-    found = bench.verify_arm(given.port, plan, warn=warn, **how, **_link(given))
+    try:
+        found = bench.verify_arm(given.port, plan, warn=warn, **how, **_link(given))
+    except BaseException:
+        if _written_ns(kept) != before_ns:
+            given.left = f"{given.out} was not written. Give the command again"
+        raise
     bench.write_arm_file(found, given.out)
     seen, limits = found.verification, found.limits
     say(f"Articulated location error {seen.location_mm:.2f} mm, limit {limits.location_mm:.2f} mm")

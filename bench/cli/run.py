@@ -210,6 +210,22 @@ def score(given: argparse.Namespace) -> int:
     return code
 
 
+@contextmanager
+def _withdrawn(given: argparse.Namespace) -> Iterator[None]:
+    """Where the record is refused, the report of before is withdrawn, and the summary says so."""
+    try:
+        yield
+    except bench.DamagedError as refused:
+        if given.run in refused.folders:
+            if given.summary:
+                from bench.report import summary
+
+                text = summary.of_refused(given.run, bench.damage_text(refused.damage))
+                summary.append(given.summary, text)
+            bench.write_report(given.run)  # refuses it too
+        raise
+
+
 def report(given: argparse.Namespace) -> int:
     from bench.cli.verdict import open_report, show_verdict
     from bench.report.growing import REPORT
@@ -227,7 +243,10 @@ def report(given: argparse.Namespace) -> int:
             "no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print"
             " index.html by hand."
         )
-    with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
+    with (
+        _withdrawn(given),
+        undamaged([given.run, *filter(None, [given.baseline])], given) as damage,
+    ):
         with working("writing the report"):
             found = bench.write_report(given.run, baseline=given.baseline, damage=damage)
         code = show_verdict(Terminal(), found)

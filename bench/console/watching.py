@@ -52,11 +52,12 @@ def listed(runs: Path) -> list[dict[str, Any]]:
     """All runs, newest first: what each is, and how it stands."""
     found = []
     with suppress(OSError):
-        for folder in sorted(runs.iterdir(), key=lambda one: one.name, reverse=True):
+        for folder in runs.iterdir():
             if (folder / DATABASE).is_file():
                 with suppress(ConfigError, OSError):
                     found.append(_card(folder))
-    return found
+    # not by its name alone: a folder may have been renamed
+    return sorted(found, key=lambda card: (card["started"], card["name"]), reverse=True)
 
 
 def _card(folder: Path) -> dict[str, Any]:

@@ -103,24 +103,41 @@ def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
     return CheckResult({**counts, "links": head.number}, tuple(findings), head, unlooked)
 
 
+def damage_of(folder: Path) -> tuple[str, ...]:
+    """What of the record in ``folder`` is not as it was written. Raises as `check_record`."""
+    return tuple(_damage_in(folder, check_record(folder)))
+
+
+def _damage_in(folder: Path, checked: CheckResult) -> Iterator[str]:
+    for finding in checked.findings:
+        if finding.weight is Weight.DAMAGE:
+            yield f"{folder.resolve().name}: {finding.text}"
+
+
+class DamagedError(ConfigError):
+    """Records are refused: ``folders`` are not as they were written, ``damage`` in sentences."""
+
+    folders: tuple[Path, ...] = ()
+    damage: tuple[str, ...] = ()
+
+
 @contextmanager
 def checked_first(folders: Folders, *, despite_damage: bool) -> Iterator[tuple[str, ...]]:
     """Checks these runs, then gives the damage, in sentences. Raises ConfigError where there is any
     and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
     """
     checked = {folder: check_record(folder) for folder in dict.fromkeys(map(Path, folders))}
-    damage = tuple(
-        f"{folder.resolve().name}: {finding.text}"
-        for folder, one in checked.items()
-        for finding in one.findings
-        if finding.weight is Weight.DAMAGE
-    )
+    found = [(folder, text) for folder, one in checked.items() for text in _damage_in(folder, one)]
+    damage = tuple(text for _, text in found)
     if damage and not despite_damage:
         hint = (
             "'teatbench store check RUN' lists all of it; `despite_damage` goes on all the same,"
             " and says so in what it writes."
         )
-        raise ConfigError.plain(f"{NOT_AS_WRITTEN}, and is refused. {shortened(damage)}\n{hint}")
+        what = f"{NOT_AS_WRITTEN}, and is refused. {shortened(damage)}\n{hint}"
+        refused = DamagedError.plain(what)
+        refused.folders, refused.damage = tuple(dict(found)), damage
+        raise refused
     try:
         yield damage
     except (ConfigError, InstrumentError, OSError):

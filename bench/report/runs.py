@@ -18,8 +18,9 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.schema import DATABASE
 from bench.report.growing import REPORT
 from bench.report.trials import round_teats, shown, views_of, worst_trials
+from bench.results.exports import write_queue_errors
 from bench.results.health import charts, history
-from bench.results.queue import QueueStatus, queues
+from bench.results.queue import NAME, QueueStatus, queues
 from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.control_chart import BASE
@@ -46,7 +47,7 @@ def list_runs(folder: Path | str = "runs") -> Runs:
         )
     runs: list[Run] = []
     others: list[tuple[str, str]] = []
-    there = (one for one in folder.iterdir() if one.is_dir() and not one.name.startswith("."))
+    there = (one for one in folder.iterdir() if one.is_dir() and not _is_apart(one))
     for one in sorted(there):
         try:
             runs.append(_listed(one))
@@ -69,6 +70,12 @@ def list_runs(folder: Path | str = "runs") -> Runs:
         )
     warned = [chart.warning for chart in drawn if chart.warning]
     return Runs(folder, tuple(runs), tuple(others), health, warned)
+
+
+def _is_apart(folder: Path) -> bool:
+    """Whether it is no run by its name: hidden, or what a queue of runs has for CI services."""
+    of_queue = folder.name.startswith(NAME.format("")) and not (folder / DATABASE).is_file()
+    return of_queue or folder.name.startswith(".")
 
 
 def _unread(error: Exception) -> str:
@@ -162,6 +169,7 @@ def write_queue_page(out: Path | str = "runs") -> tuple[QueueStatus, Path]:
     title = f"Queue of {plural(len(queue.scripts), 'script')}"
     now = queue.headline.removesuffix(".")
     summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {now}."
+    write_queue_errors(folder, queue)
     name = f"{queue.name}.html"
     return queue, write_runs(found, summary, name=name, title=title, rest="Not run")
 

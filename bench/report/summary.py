@@ -58,6 +58,12 @@ def of_run(found: Reported) -> str:
     return "\n\n".join(["\n".join(lines), *(_plain(line) for line in said if line)]) + "\n"
 
 
+def of_refused(folder: Path, why: str) -> str:
+    """A run without a verdict, since its record is refused."""
+    head = f"### {MARKS['no verdict']} {_plain(folder.resolve().name)}: no verdict"
+    return f"{head}\n\n{_plain(why)}\n"
+
+
 def of_comparisons(found: Sequence[Comparison]) -> str:
     """Each comparison with its tables and its verdict."""
     parts: list[str] = []

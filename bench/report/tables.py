@@ -65,7 +65,7 @@ SHOWS = {
 def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
     """Each requirement and what each detector shows of it; the bench's once."""
     several, of_bench = len(judgements) > 1, judgements[0].of_bench
-    counts = [d.n for judgement in judgements for d in judgement.decisions]
+    counts = [d.n for judgement in judgements for d in judgement.decisions if d.n]
     usual = max(sorted(set(counts)), key=counts.count, default=0)
     by_name = [{d.name: d for d in judgement.decisions} for judgement in judgements]
 
@@ -92,7 +92,8 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         rows.append((called, "", (met,)))
         shared.add(called)
     names = tuple(judgement.detector for judgement in judgements)
-    caption = f"What each detector shows; from {plural(usual, 'value')} unless noted."
+    of = f"; from {plural(usual, 'value')} unless noted" if usual else ""
+    caption = f"What each detector shows{of}."
     return Scoreboard(caption, names, tuple(rows), shared=shared)
 
 

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from bench.config import writing
 from bench.files import write_together
-from bench.record.check import NOT_AS_WRITTEN, printed_chain
+from bench.record.check import NOT_AS_WRITTEN, DamagedError, damage_text, printed_chain
 from bench.record.looks import id_of
 from bench.record.reader import RunRecord
 from bench.results.doubts import DOUBTS_FACT
-from bench.results.status import RunStatus
+from bench.results.queue import QueueStatus
+from bench.results.status import RunStatus, undecided
 from bench.results.verdicts import Judgement, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from reports.sanitize import csv_text, sanitized
+from textfiles.text import full_stop
 
 VERSION = 1  # of `run.json`
+JUNIT, RUN_JSON, HAS_VERDICT = "junit.xml", "run.json", "the run has a verdict"
+# the suite, the case, the kind of its element or "", the message and the text of that
+Case = tuple[str, str, str, str, str]
 BENCH = "bench"  # the suite of its own requirements, where several detectors were judged
 COLUMNS = (
     "trial situation repeat detector teats visible found missed false hidden_claimed hidden"
@@ -34,13 +40,13 @@ def write_exports(
 ) -> None:
     """Write the three files into ``folder``, or none."""
     text, junit = _run_json(run, status, judgements), _junit_xml(run, status, judgements)
-    texts = {"trials.csv": _trials_csv(run), "run.json": text, "junit.xml": junit}
+    texts = {"trials.csv": _trials_csv(run), RUN_JSON: text, JUNIT: junit}
     write_together(folder, ((name, text.encode()) for name, text in texts.items()))
 
 
 def drop_report(folder: Path) -> None:
     """Remove what a report says of the run in ``folder``: it goes on."""
-    for name in ("index.html", "whole.html", "run.json", "junit.xml", "trials.csv"):
+    for name in ("index.html", "whole.html", RUN_JSON, JUNIT, "trials.csv", "report.pdf"):
         (folder / "report" / name).unlink(missing_ok=True)
 
 
@@ -146,23 +152,94 @@ def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement
     )
     if not status.decided or DOUBTS_FACT in run.facts:
         why = "\n".join((status.why, *status.unsafe))
-        ended = "the run has a verdict"
         cases = [(who, name, "skipped", why, "") for who, name, *_ in cases]
         then = "\n".join(status.next)
-        cases = [*((who, ended, "error", why, then) for who in run.detectors), *cases]
+        cases = [*((who, HAS_VERDICT, "error", why, then) for who in run.detectors), *cases]
     elif not cases:
         nothing = "nothing was scored, so no requirement was decided"
         cases = [(who, "requirements", "skipped", nothing, "") for who in run.detectors]
-    started, took_s = _span(run)
     known_as = f"{run.folder.resolve().name} {id_of(run)}"
+    title = str(run.facts.get("title", run.folder.name))
+    return _junit(title, known_as, cases, *_span(run), status.mark)
+
+
+@contextmanager
+def report_withdrawn(folder: Path) -> Iterator[None]:
+    """Where the record in ``folder`` is refused, what its report said before may not stay: there
+    are a junit.xml with an error then, and a run.json that decides nothing. Raises ConfigError.
+    """
+    try:
+        yield
+    except DamagedError as refused:
+        if folder in refused.folders:
+            name, why = folder.resolve().name, damage_text(refused.damage)
+            text = _junit(name, name, [("record", HAS_VERDICT, "error", why, "")])
+            files = {JUNIT: text.encode(), **_undecided(folder, refused.damage)}
+            with writing(folder):
+                drop_report(folder)
+                (folder / "report").mkdir(exist_ok=True)
+                write_together(folder / "report", files.items())
+        raise
+
+
+def _undecided(folder: Path, damage: Sequence[str]) -> dict[str, bytes]:
+    """The run.json that is there without its verdicts and trials: by its chain the damage is found
+    again. Empty where there is none.
+    """
+    with suppress(OSError):
+        data = (folder / "report" / RUN_JSON).read_bytes()
+        with suppress(ValueError, TypeError, LookupError):
+            table = json.loads(data)
+            status = undecided(table["status"], damage).as_dict()
+            none: dict[str, Any] = {
+                "verdict": run_verdict(()).value,
+                "judgements": [],
+                "trials": [],
+            }
+            table |= {**none, "status": status, "damage": [*damage]}
+            data = json.dumps(table, indent=1, ensure_ascii=False).encode()
+        return {RUN_JSON: data}
+    return {}
+
+
+def write_queue_errors(out: Path, queue: QueueStatus) -> None:
+    """A junit.xml in a folder of the queue's own, where one finds those of runs, with an error for
+    each script whose run has none; no file where each has one. Raises OSError.
+    """
+    of_queue = out / queue.name / "report"
+    missing = [one for one in queue.scripts if not (out / one.run / "report" / JUNIT).is_file()]
+    missing = [one for one in queue.scripts if not one.run or one in missing]
+    if not missing:
+        (of_queue / JUNIT).unlink(missing_ok=True)
+        return
+    ended = full_stop(queue.headline)
+    cases = [
+        (one.script, HAS_VERDICT, "error", f"{one.text}. The queue {ended}", "") for one in missing
+    ]
+    of_queue.mkdir(parents=True, exist_ok=True)
+    text = _junit(f"Queue on {queue.rig}", queue.name, cases, queue.started)
+    write_together(of_queue, [(JUNIT, text.encode())])
+
+
+def _junit(
+    title: str,
+    known_as: str,
+    cases: Sequence[Case],
+    started: str = "",
+    took_s: float = 0.0,
+    mark: str = "",
+) -> str:
+    """The file of ``cases``, a suite for each that they are of."""
     share_s = f"{took_s / max(1, len(cases)):.3f}"
-    root = ET.Element("testsuites", name=str(run.facts.get("title", run.folder.name)))
+    root = ET.Element("testsuites", name=title)
     root.set("time", f"{took_s:.3f}")
     for detector in dict.fromkeys(who for who, *_ in cases):
-        suite = ET.SubElement(root, "testsuite", name=detector, id=known_as, timestamp=started)
-        if status.mark:
+        suite = ET.SubElement(root, "testsuite", name=detector, id=known_as)
+        if started:
+            suite.set("timestamp", started)
+        if mark:
             marks = ET.SubElement(suite, "properties")
-            ET.SubElement(marks, "property", name="mark", value=status.mark)
+            ET.SubElement(marks, "property", name="mark", value=mark)
         those = [one for one in cases if one[0] == detector]
         for _, name, kind, message, rule in those:
             named = {"classname": detector, "name": name, "time": share_s}

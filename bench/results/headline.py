@@ -28,6 +28,9 @@ AFTER_LATCH = (
     "See the events, remove the cause, check the instruments with 'teatbench check {rig}',"
     " acknowledge it with 'teatbench bath acknowledge {rig}', then {go_on}."
 )
+DAMAGED_NEXT = (
+    "Put back the run's folder from a copy; 'teatbench store check' lists all that is damaged."
+)
 AFTER_MISTAKE = "Report it, with the run's folder; its events name it. Then {go_on}."
 GO_ON = "go on with 'teatbench resume {run}'"
 ANEW = "give its command again, as it can't be resumed"
@@ -48,10 +51,15 @@ THEN: Mapping[State, str] = {
 }
 
 
+def damaged_why(damage: Sequence[str]) -> str:
+    """Why a record with this damage decides nothing."""
+    return f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(damage)}"
+
+
 def stopped_why(run: RunRecord, state: State, trials: str) -> str:
     """Why ``run``, which came as far as ``trials``, decides nothing; empty where it may."""
     if run.damage:
-        return f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
+        return damaged_why(run.damage)
     if state is State.FINISHED:
         return ""
     if state is State.RUNNING:
@@ -71,8 +79,7 @@ def _last_reason(run: RunRecord) -> str:
 def stopped_next(run: RunRecord, state: State) -> str:
     """What to do with it then."""
     if run.damage:
-        then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
-        return f"{then} damaged."
+        return DAMAGED_NEXT
     asked, reason, then = run.facts.get("asked") or {}, _last_reason(run), THEN[state]
     ends = not asked or bool(asked.get("recorded"))
     if ends and (not asked or then is AFTER_END):

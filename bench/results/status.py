@@ -20,10 +20,19 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from bench.record.check import damage_of
 from bench.record.reader import RunRecord, read_run
+from bench.record.schema import DATABASE
 from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
 from bench.results.doubts import DOUBTS_FACT
-from bench.results.headline import AFTER_SILENCE, judged, stopped_next, stopped_why
+from bench.results.headline import (
+    AFTER_SILENCE,
+    DAMAGED_NEXT,
+    damaged_why,
+    judged,
+    stopped_next,
+    stopped_why,
+)
 from bench.results.verdicts import Judgement, judge, run_verdict, stored_rules
 from bench.rig.by_hand import BY_HAND, silent
 from bench.rig.devices import Evidence
@@ -356,14 +365,28 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
 
 def read_status(folder: Path) -> RunStatus:
     """Of the run in ``folder``, quickly, for whoever watches: verdicts are those of its report,
-    where that is of the record as it is. Raises ConfigError.
+    where that is of the record as it is; a record that was written to since is checked. Raises
+    ConfigError.
     """
     run = read_run(folder, whole=False)
-    written = _reported(run) if run.ending == State.FINISHED else None
-    if written is None and run.ending == State.FINISHED and run.done:
-        run = read_run(folder)
-        return status_of(run, judge(run, stored_rules(folder)) if run.trials else ())
+    ended, finished = state_in(run) is not State.RUNNING, run.ending == State.FINISHED
+    written = _reported(run) if finished else None
+    damage = damage_of(folder) if ended and not _is_reported_since(folder) else ()
+    if damage or (written is None and finished and run.done):
+        run = read_run(folder, damage)
+        judged_too = run.trials and not damage
+        return status_of(run, judge(run, stored_rules(folder)) if judged_too else ())
     return replace(status_of(run), **written) if written else status_of(run)
+
+
+def undecided(said: Mapping[str, Any], damage: Sequence[str]) -> RunStatus:
+    """What a report ``said`` of its run, as JSON, once its record is found to be damaged. Raises
+    ValueError.
+    """
+    status: RunStatus = _reader(RunStatus).validate_python(said)
+    verdicts = dict.fromkeys(status.verdicts, "no verdict")
+    why = damaged_why(damage)
+    return replace(status, damage=(*damage,), verdicts=verdicts, why=why, next=(DAMAGED_NEXT,))
 
 
 def under_way(folder: Path) -> bool:
@@ -385,6 +408,15 @@ def _reported(run: RunRecord) -> dict[str, Any] | None:
         said = _reader(RunStatus).validate_python(written["status"])
         return {key: getattr(said, key) for key in ("verdicts", "why", "next", "damage")}
     return None
+
+
+def _is_reported_since(folder: Path) -> bool:
+    """Whether the report was written after all that the record has."""
+    with suppress(OSError):
+        written_ns = (folder / RUN_JSON).stat().st_mtime_ns
+        files = [folder / f"{DATABASE}{end}" for end in ("", "-wal")]
+        return written_ns >= max(one.stat().st_mtime_ns for one in files if one.exists())
+    return False
 
 
 @cache

@@ -378,6 +378,10 @@ VERIFICATION_HEADING = """How good the arm was on this day, made by 'teatbench a
 Lengths in mm. Figures after ASME B89.4.22 and ISO 10360-12. A run holds these figures
 against the limits of its own script."""
 
+UNFINISHED_HEADING = (
+    """Touches of 'teatbench arm verify' that did not come to its end: no verification."""
+)
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Three = tuple[Number, Number, Number]
@@ -495,6 +499,14 @@ def _verification_table(found: Verification, limits: VerificationLimits) -> dict
         ),
         "length": rows("lengths", "where", "calibrated_mm", "error_mm") or None,
     }
+
+
+def unfinished_text(found: Verification) -> str:
+    """What was measured of a verification that has not ended. No file of a rig may name it."""
+    touched = as_dict(found)
+    head = {"unfinished": True, "made": found.made, "serial_number": found.serial_number}
+    rows = {"location": touched["locations"], "length": touched["lengths"] or None}
+    return toml_text({**head, "gauge": found.gauge, **rows}, UNFINISHED_HEADING)
 
 
 def load_verification(path: Path) -> Verification:

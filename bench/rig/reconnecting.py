@@ -1,42 +1,149 @@
-"""An arm or a stage that drops out while a person works with it, outside of a run: it is waited
-for, homed again, and what was under way is asked for once more. What was touched before is kept.
+"""An instrument that drops out and comes back: which one a fault speaks of and in what way, what a
+person checks then, how it is reached and homed again, and the wait for it. A run waits as
+`bench.run.interruptions` says; outside of a run `Reconnecting` waits for an arm or a stage.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 from instruments.clock import Clock
 from instruments.drivers.protocols import Arm, Stage
 from instruments.errors import DeviceError, DriverError, InstrumentError, LinkError, ProtocolError
-from instruments.microscribe.errors import UnusableArmError
+from instruments.microscribe.errors import AnotherArmError, UnusableArmError
 from instruments.operators.operator import Homing, Request, Task
 
 Done = TypeVar("Done")
 
-TRIES = 10  # of one piece of work: a person is there each time, who can end it
+INSTRUMENTS = ("arm", "stage", "bath", "cameras")
+GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
 EVERY_S = 2.0  # between attempts to reach it
-CHECK = {
-    "arm": "Check the arm's power and its cable.",
-    "stage": "Check the stage's power and its cable; keep your hands off it, it will home.",
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """At most ``times`` tries in a trial or a step of preparing; ``check`` is for the person."""
+
+    times: int
+    check: str
+
+
+PICTURES = ("cameras", REFUSES)  # they answer, and none of their pictures is of use
+HOMES = "keep your hands off it, it will home."
+POLICIES: Mapping[tuple[str, str], Policy] = {
+    ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
+    ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
+    ("stage", GONE): Policy(3, f"Check the stage's power and its cable; {HOMES}"),
+    ("stage", GARBLED): Policy(3, f"Check the stage's cable and what disturbs it; {HOMES}"),
+    ("stage", REFUSES): Policy(1, f"Look whether something is in the stage's way; {HOMES}"),
+    ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
+    ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
+    ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
+    ("cameras", GARBLED): Policy(3, "Check the cameras' cables and settings."),
+    PICTURES: Policy(2, "Look at the cameras: cables, lens caps, light, focus, trigger."),
 }
+
+
+def diagnosis(fault: InstrumentError) -> tuple[str, str]:
+    """Which instrument, and if it is gone, garbled or refuses; "" for what can't be retried."""
+    who = fault.who.lower()
+    first = (who.replace(":", " ").split() or [""])[0]
+    instrument = "cameras" if "camera" in who else "bath" if first == "pump" else first
+    kinds: dict[type[InstrumentError], str] = {AnotherArmError: "", UnusableArmError: ""}
+    kinds |= {LinkError: GONE, ProtocolError: GARBLED, DriverError: GARBLED, DeviceError: REFUSES}
+    kind = next((kind for error, kind in kinds.items() if isinstance(fault, error)), "")
+    return instrument if instrument in INSTRUMENTS else "", kind
+
+
+def no_step() -> None:
+    """Nothing more is done."""
+
+
+def reach_arm(
+    arm: Arm, ask: Callable[[Request], object], answers: Callable[[], None] = no_step
+) -> None:
+    """Connect once more, and home. ``answers`` is called between, and may raise. Raises
+    InstrumentError while it is away.
+    """
+    arm.recover(EVERY_S)
+    answers()
+    ask(Homing(arm.homing_again))
+    arm.home()
+
+
+def reach_stage(stage: Stage, answers: Callable[[], None] = no_step) -> None:
+    """The same for a stage."""
+    stage.reconnect()
+    answers()
+    stage.home()
+
+
+def wait_for(
+    attempt: Callable[[], object],
+    fault: InstrumentError,
+    patience_s: float,
+    now: Callable[[], float],
+    wait: Callable[[float], None],
+    say: Callable[[str], None],
+) -> None:
+    """Until ``attempt`` passes. Raises ``fault`` after ``patience_s``, and what ``wait`` raises.
+    What else keeps the instrument away than a link without an answer is said, once each.
+    """
+    started_s, said = now(), str(fault)
+    while True:
+        try:
+            attempt()
+            return
+        except InstrumentError as why:
+            if not isinstance(why, LinkError) and str(why) != said:
+                said = str(why)
+                say(said)
+        if now() - started_s >= patience_s:
+            raise fault
+        wait(EVERY_S)
+
+
+TRIES = 10  # of one piece of work outside of a run: a person is there each time, who can end it
 BLOCKED = "Look whether something is in the stage's way. Then keep your hands off it: it will home."
+
+
+def is_loss(fault: InstrumentError) -> bool:
+    """Whether an instrument is gone, or nothing that comes from it is of use."""
+    return diagnosis(fault)[1] in (GONE, GARBLED)
 
 
 @dataclass(slots=True, eq=False)
 class Reconnecting:
-    """Waits for ``arm`` and ``stage`` (None: there is none), for ``away_s`` each time; ``ask`` and
-    ``say`` speak to the person.
+    """Waits outside of a run for what drops out, ``away_s`` each time. ``ready``: by name, makes an
+    instrument ready again, or raises while it is away; ``ask`` and ``say`` speak to the person,
+    ``kept`` says that nothing is lost.
     """
 
-    arm: Arm
+    ready: Mapping[str, Callable[[], object]]
     ask: Callable[[Request], object]
     clock: Clock
     say: Callable[[str], None]
     away_s: float
-    stage: Stage | None = None
+    kept: str = "What was touched so far is kept."
+
+    @classmethod
+    def of_arm(
+        cls,
+        arm: Arm,
+        ask: Callable[[Request], object],
+        clock: Clock,
+        say: Callable[[str], None],
+        away_s: float,
+        stage: Stage | None = None,
+    ) -> Reconnecting:
+        """For an arm, and the stage where there is one."""
+        ready: dict[str, Callable[[], object]] = {"arm": partial(reach_arm, arm, ask)}
+        if stage is not None:
+            ready["stage"] = partial(reach_stage, stage)
+        return cls(ready, ask, clock, say, away_s)
 
     def keep(self, work: Callable[[], Done]) -> Done:
         """What ``work`` gives, done again after a loss. Raises as it, and as `wait`."""
@@ -48,43 +155,22 @@ class Reconnecting:
         return work()
 
     def wait(self, fault: InstrumentError) -> None:
-        """Until what ``fault`` speaks of is back, and homed; a stage that refuses is looked at by
-        the person first. Raises ``fault`` where it stays away, and one that is no loss of the arm
-        or the stage; OperatorAbort.
+        """Until what ``fault`` speaks of is ready again; a stage that refuses is looked at by the
+        person first. Raises ``fault`` where it stays away, and one that is no loss of what there
+        is; OperatorAbort.
         """
-        name = (fault.who.lower().replace(":", " ").split() or [""])[0]
-        gone = isinstance(fault, (LinkError, ProtocolError, DriverError))
-        refuses = isinstance(fault, DeviceError) and not gone and name == "stage"
-        there = name == "arm" or (name == "stage" and self.stage is not None)
-        if not (there and (gone or refuses)) or isinstance(fault, UnusableArmError):
+        name, how = diagnosis(fault)
+        jammed = (name, how) == ("stage", REFUSES)
+        ready, policy = self.ready.get(name), POLICIES.get((name, how))
+        if ready is None or policy is None or not (is_loss(fault) or jammed):
             raise fault
-        kept = "What was touched so far is kept."
-        if refuses:
-            self.say(f"{fault}\n{kept}")
+        are = "are" if name == "cameras" else "is"
+        if jammed:
+            self.say(f"{fault}\n{self.kept}")
             self.ask(Task(BLOCKED))
         else:
-            back = f"It goes on by itself when the {name} is back."
-            self.say(f"{fault}\n{CHECK[name]} {kept} {back}")
-        end_s, said = self.clock.now() + self.away_s, str(fault)
-        while why := self._missing(name):
-            if self.clock.now() >= end_s:
-                raise fault
-            if not isinstance(why, LinkError) and str(why) != said:
-                said = str(why)
-                self.say(said)
-            self.clock.sleep(EVERY_S)
-        self.say(f"The {name} is back, and homed again.")
-
-    def _missing(self, name: str) -> InstrumentError | None:
-        """Look for it once: what keeps it away; None where it is back."""
-        try:
-            if name == "arm":
-                self.arm.recover(EVERY_S)
-                self.ask(Homing(self.arm.homing_again))
-                self.arm.home()
-            elif self.stage:
-                self.stage.reconnect()
-                self.stage.home()
-        except InstrumentError as why:
-            return why
-        return None
+            back = f"It goes on by itself when the {name} {are} back."
+            self.say(f"{fault}\n{policy.check} {self.kept} {back}")
+        wait_for(ready, fault, self.away_s, self.clock.now, self.clock.sleep, self.say)
+        homed = "" if name == "cameras" else ", and homed again"
+        self.say(f"The {name} {are} back{homed}.")

@@ -33,7 +33,15 @@ from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, in_own_thread, undisturbed
 from bench.script.planned_trials import PlannedTrial
-from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_text
+from bench.truth.arm_check import (
+    AFTER,
+    AMID,
+    BEFORE,
+    CHECK_FACT,
+    check_arm,
+    check_text,
+    moved_mm,
+)
 from detector.protocol import Detector
 from instruments.bath.sequence import start_bath
 from instruments.clock import wall_time
@@ -51,6 +59,10 @@ from textfiles.text import named, plural
 RECORD_FAULTS = (sqlite3.Error, OSError)
 TRACEBACK = "mistake.txt"
 BETWEEN_S = 120.0  # between two scripts of a queue, before the guardian takes the bench for hung
+HOMED_AGAIN = "The arm was homed again. This touch shows whether those before still count."
+HOME_RIGHT = (
+    "Was its stylus on its peg? Where arm and table stand as before, end the run and resume."
+)
 STAYS_WARM = "nothing was made safe: the rig stays open, heated and watched for the next script"
 REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 
@@ -87,6 +99,7 @@ class Engine:
         before = left.run if left and goes_on else None
         self._truth = choose_truth(ctx, settled, before=before)
         self._trials = TrialRun(ctx, self.detectors, self._truth, self.exact_ends, recorder, before)
+        self._trials.check_homing = self._check_homing
         self._recovery = Recovery(ctx, self._trials.look)
         self._attempts = Attempts(
             ctx,
@@ -228,6 +241,22 @@ class Engine:
         self._checked = found
         (self._fact if when == BEFORE else ctx.store.fact)(CHECK_FACT.format(when), found)
         ctx.event("arm", check_text(found, when))
+
+    def _check_homing(self) -> str:
+        """Touch the check point of an arm that has homed again: why what it touched before doesn't
+        count; empty where it does.
+        """
+        ctx, arm, before = self.context, self.context.rig.rig.arm, self._checked
+        if before is None:
+            return "the arm was homed again, and the rig has no check point (docs/rig.md)"
+        near_mm = unmoved_mm(ctx.script.script.requirements, arm)
+        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check, before, near_mm, HOMED_AGAIN)
+        ctx.event("arm", check_text(found, AMID))
+        if (off_mm := moved_mm(before, found)) <= near_mm:
+            return ""
+        why = f"the check point is {off_mm:.2f} mm from where it was, limit {near_mm:.2f} mm"
+        ctx.events.warn(f"The arm was homed again, and {why}. {HOME_RIGHT}")
+        return why
 
     def _checked_before(self) -> dict[str, Any] | None:
         """The last check before the trials of earlier sessions; none while it is gone through."""

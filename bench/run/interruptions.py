@@ -1,8 +1,9 @@
 """What interrupts a run: an instrument that drops out, and a person's request to pause, go on, skip
 or repeat the trial in flight, or end (docs/runs.md).
 
-A table says for each kind of fault how often it is tried again and what a person has to check; any
-other ends the run. The work is done again whole; interlocks and requests may end the wait.
+A table (`POLICIES`) says for each kind of fault how often it is tried again and what a person
+checks; any other ends the run. The work is done again whole; interlocks and requests may end the
+wait.
 A request is a file in the run's folder, or a line typed at a terminal where no operator sits. The
 trial in flight leaves no trace. Each is answered in a line.
 """
@@ -10,22 +11,32 @@ trial in flight leaves no trace. Each is answered in a line.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.rig.frame_capture import CAPTURE_S
+from bench.rig.reconnecting import (
+    GARBLED,
+    GONE,
+    PICTURES,
+    POLICIES,
+    REFUSES,
+    Policy,
+    diagnosis,
+    reach_arm,
+    reach_stage,
+    wait_for,
+)
 from bench.run.context import RunContext
 from bench.run.events import BACK, RunState
 from instruments.camera.cameras import CameraSet
 from instruments.clock import Clock, RealClock, VirtualClock
-from instruments.errors import DeviceError, DriverError, InstrumentError, LinkError, ProtocolError
-from instruments.microscribe.errors import AnotherArmError, UnusableArmError
+from instruments.errors import InstrumentError
 from instruments.operators.operator import (
     KEYS,
-    Homing,
     OperatorAbort,
     OperatorRepeat,
     OperatorSkip,
@@ -34,48 +45,8 @@ from instruments.operators.operator import (
 from textfiles.text import in_command
 from textfiles.whole import refusal
 
-INSTRUMENTS = ("arm", "stage", "bath", "cameras")
-GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
 HOW = {GONE: "no answer", GARBLED: "no usable answer", REFUSES: "it refuses", "": "at fault"}
-
-
-@dataclass(frozen=True, slots=True)
-class Policy:
-    """At most ``times`` tries in a trial or a step of preparing; ``check`` is for the person."""
-
-    times: int
-    check: str
-
-
-PICTURES = ("cameras", REFUSES)  # they answer, and none of their pictures is of use
-HOMES = "keep your hands off it, it will home."
 HOMING = "Keep your hands off the stage, it homes. The run then goes on by itself."
-POLICIES: Mapping[tuple[str, str], Policy] = {
-    ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
-    ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
-    ("stage", GONE): Policy(3, f"Check the stage's power and its cable; {HOMES}"),
-    ("stage", GARBLED): Policy(3, f"Check the stage's cable and what disturbs it; {HOMES}"),
-    ("stage", REFUSES): Policy(1, f"Look whether something is in the stage's way; {HOMES}"),
-    ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
-    ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
-    ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
-    ("cameras", GARBLED): Policy(3, "Check the cameras' cables and settings."),
-    PICTURES: Policy(2, "Look at the cameras: cables, lens caps, light, focus, trigger."),
-}
-
-
-def diagnosis(fault: InstrumentError) -> tuple[str, str]:
-    """Which instrument, and if it is gone, garbled or refuses; "" for what can't be retried."""
-    who = fault.who.lower()
-    first = (who.replace(":", " ").split() or [""])[0]
-    instrument = "cameras" if "camera" in who else "bath" if first == "pump" else first
-    kinds: dict[type[InstrumentError], str] = {AnotherArmError: "", UnusableArmError: ""}
-    kinds |= {LinkError: GONE, ProtocolError: GARBLED, DriverError: GARBLED, DeviceError: REFUSES}
-    kind = next((kind for error, kind in kinds.items() if isinstance(fault, error)), "")
-    return instrument if instrument in INSTRUMENTS else "", kind
-
-
-EVERY_S = 2.0  # between attempts to reach it
 # while a run is being prepared: nothing is lost yet, and it may be another device altogether
 PREPARING_S = 20.0
 SETTLED_S = 1.0
@@ -128,12 +99,14 @@ class Recovery:
         with ctx.states.during(RunState.PAUSED):
             ctx.event("dropped out", f"{what}: {fault} ({count})")
             ctx.events.warn(f"{fault}\nThe run is paused. {ctx.check_away}")
-            while not self._back(name):
-                if ctx.clock.now() - started_s >= patience_s:
-                    why = f"the {name} did not come back within {patience_s:g} s"
-                    ctx.event("given up", why)
-                    raise fault
-                ctx.wait(EVERY_S)
+            try:
+                attempt = partial(self._attempt, name)
+                wait_for(attempt, fault, patience_s, ctx.clock.now, ctx.wait, ctx.events.warn)
+            except InstrumentError as why:
+                if why is fault:
+                    gone = f"the {name} did not come back within {patience_s:g} s"
+                    ctx.event("given up", gone)
+                raise
             ctx.check()
             note = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
             note += ", homed again" if name in ("arm", "stage") else ""
@@ -141,24 +114,17 @@ class Recovery:
             ctx.events.warn(f"{note[0].upper()}{note[1:]}. The run goes on.")
         self._missing, ctx.away = None, ""
 
-    def _back(self, name: str) -> bool:
-        """Whether the instrument is back and ready: arm homed, stage homed, cameras usable."""
+    def _attempt(self, name: str) -> None:
+        """Make it ready again: arm homed, stage homed, cameras usable. Raises while it is away."""
         ctx, devices = self._ctx, self._ctx.devices
         ctx.events.state(f"waiting for the {name}")
         try:
             if name == "arm":
                 ctx.long("looking for the arm", 120.0)
-                devices.arm.recover(EVERY_S)
-                ctx.away = ""  # it answers
-                ctx.ask(Homing(devices.arm.homing_again))
-                devices.arm.home()
+                reach_arm(devices.arm, ctx.ask, self._answers)
             elif name == "stage" and devices.stage:
                 ctx.long("homing the stage again", 600.0)
-                devices.stage.reconnect()
-                ctx.look()  # a stage that a trip has braked meanwhile is not to move
-                ctx.away, ctx.readied = "", HOMING
-                ctx.events.state("homing the stage again")
-                devices.stage.home()
+                reach_stage(devices.stage, self._stage_answers)
             elif name == "cameras":
                 ctx.wait(SETTLED_S)
                 ctx.long("opening the cameras again", CAPTURE_S, silent=True)
@@ -171,10 +137,17 @@ class Recovery:
                 devices.bath.read()  # its driver connects again by itself
         except InstrumentError:
             ctx.away = name
-            return False
+            raise
         finally:
             ctx.readied = ""
-        return True
+
+    def _answers(self) -> None:
+        self._ctx.away = ""
+
+    def _stage_answers(self) -> None:
+        self._ctx.look()  # a stage that a trip has braked meanwhile is not to move
+        self._ctx.away, self._ctx.readied = "", HOMING
+        self._ctx.events.state("homing the stage again")
 
 
 FILE, TAKEN = "wish.txt", "wish-taken.txt"

@@ -24,10 +24,10 @@ from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import CAPTURE_S, FrameTaker
 from bench.rig.model import Stage as StageSettings
 from bench.rig.move_check import MoveCheck
+from bench.rig.reconnecting import diagnosis
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.events import RunState
-from bench.run.interruptions import diagnosis
 from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
@@ -66,7 +66,6 @@ from instruments.operators.operator import Arrangement, NextTrial, OperatorRepea
 from instruments.world.phantom import PlatePose
 
 REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
-LEAVE_TOUCHES = ("stage", "bath", "cameras")  # where they drop out, touches may still count
 URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
 Settled = Callable[[Sequence[str], bool], None]
 
@@ -273,6 +272,9 @@ class TrialRun:
         self._homed_in_vain = False
         self._moves = MoveCheck()
         self._begun, self._so_far = "", SoFar()  # touches of a trial that was interrupted amid them
+        self._homed_again = False  # the arm, since those touches
+        # why they don't count then, or ""
+        self.check_homing: Callable[[], str] = lambda: "the arm was homed again"
         self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
         # what of a pose the stage does; the operator does the rest
@@ -293,17 +295,22 @@ class TrialRun:
 
     def run(self, trial: PlannedTrial) -> None:
         """From settling to the trial's rows; where anything raises, nothing is stored. Touches are
-        kept for the next try where neither the arm nor a person has interrupted it.
+        kept for the next try where no person has interrupted it; of an arm that was homed again,
+        where `check_homing` shows that they count.
         """
         so_far = self._so_far
         if self._begun != trial.id:
             so_far.clear()
         self._begun, kept_before = trial.id, sum(map(len, so_far.values()))
+        self._homed_again &= kept_before > 0
         try:
+            if self._homed_again:
+                self._count_only_if_homed_alike(trial.id)
             self._run(trial)
         except BaseException as why:
-            kept = isinstance(why, InstrumentError) and diagnosis(why)[0] in LEAVE_TOUCHES
-            if isinstance(why.__cause__, AstrayError) or not kept:
+            lost, how = diagnosis(why) if isinstance(why, InstrumentError) else ("", "")
+            self._homed_again |= lost == "arm"
+            if isinstance(why.__cause__, AstrayError) or not (lost and how):
                 so_far.clear()
                 if kept_before:
                     self.ctx.event("touches", f"{trial.id}: those kept so far are dropped")
@@ -311,6 +318,13 @@ class TrialRun:
                 self.ctx.event("touches", f"{trial.id}: {count} so far are kept")
             raise
         so_far.clear()
+
+    def _count_only_if_homed_alike(self, trial_id: str) -> None:
+        """Drop the touches so far where the arm's homing is not shown to be that of before."""
+        if why_not := self.check_homing():
+            self._so_far.clear()
+            self.ctx.event("touches", f"{trial_id}: those kept so far are dropped: {why_not}")
+        self._homed_again = False
 
     def _run(self, trial: PlannedTrial) -> None:
         ctx, there = self.ctx, shown(trial, self._axes)

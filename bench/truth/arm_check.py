@@ -20,7 +20,7 @@ from instruments.errors import TouchAgainError
 from instruments.operators.operator import CheckPoint, Release, Request
 from textfiles.text import plural
 
-BEFORE, AFTER = "before", "after"
+BEFORE, AFTER, AMID = "before", "after", "amid"
 CHECK_FACT = "arm check {}"  # before, after
 
 
@@ -32,13 +32,15 @@ def check_arm(
     check: Callable[[], None],
     before: Mapping[str, Any] | None = None,
     near_mm: float = 0.0,
+    again: str = "",
 ) -> dict[str, Any]:
-    """Touch the rig's check point; gives back the fact to store. ``check`` may raise. The touches
+    """Touch the rig's check point; gives back the fact to store. ``check`` may raise; ``again``:
+    why it is asked for. The touches
     of a check ``before`` count where the first one lies within ``near_mm`` of their mean: nothing
     has moved since. The fact then says how many touches are ``new``.
     """
     touches: list[dict[str, Any]] = []
-    again, refused = "", 0
+    refused = 0
     while len(touches) < arm.check_touches:
         check()
         of = 1 if before and not touches else arm.check_touches

@@ -197,7 +197,7 @@ class Toucher:
         again = f"One touch of {who} shows whether the {count} of this pose so far still count."
         self._touch_end(teat, ends, {}, one, again, readings=1)
         off_mm = np.linalg.norm(_kept(one)[0][0] - np.mean([end for end, _ in kept], axis=0))
-        if off_mm <= FAR * reading_u_mm(self.arm) * sqrt(1.0 + 1.0 / len(kept)):
+        if off_mm <= same_place_mm(self.arm, len(kept)):
             so_far[teat] += one
             for number, (_, row) in enumerate(so_far[teat], 1):
                 row["touch"] = number
@@ -297,6 +297,11 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
 def reading_u_mm(arm: Arm) -> float:
     """Of one reading against another along an axis: hand and rounding, not accuracy."""
     return hypot(arm.definition_mm, arm.rounding_mm)
+
+
+def same_place_mm(arm: Arm, readings: int = 1) -> float:
+    """How far one reading may lie from the mean of ``readings`` before it of the same place."""
+    return FAR * reading_u_mm(arm) * sqrt(1.0 + 1.0 / readings)
 
 
 def end_u_mm(arm: Arm, readings: int) -> float:

@@ -19,8 +19,10 @@ from bench.calibrate.views import (
     pattern_of,
 )
 from bench.config import ConfigError
+from bench.rig.reconnecting import Reconnecting
 from detector.calibration.boards import Board
 from detector.geometry import Camera, Motion
+from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.operators.operator import (
     DONE,
@@ -90,8 +92,13 @@ class Room:
         self._shown += 1
         return {"left": held_picture(self._shown)}
 
-    def gather(self, folder: Path, wanted: ViewsRequest = LEFT_ALONE) -> int:
-        return gather(self.look, self, SMALL, wanted, folder, self.note.append)
+    def gather(
+        self,
+        folder: Path,
+        wanted: ViewsRequest = LEFT_ALONE,
+        find: Callable[[InstrumentError], None] = lambda _: None,
+    ) -> int:
+        return gather(self.look, self, SMALL, wanted, folder, self.note.append, find)
 
 
 @pytest.mark.weekly
@@ -154,6 +161,33 @@ def test_a_camera_that_comes_back_costs_no_view(tmp_path: Path) -> None:
     room.lost = [fault] * 3
     with pytest.raises(LinkError):
         room.gather(tmp_path, LEFT_ALONE)
+
+
+def test_a_camera_that_was_lost_is_waited_for_and_one_that_stays_away_ends_it(
+    tmp_path: Path,
+) -> None:
+    """As `take_views` waits: its pictures are asked for every two seconds, for as long as a run."""
+    said, clock, fault = list[str](), VirtualClock(), LinkError("left camera", "can't be opened")
+    for back_at_s in (30.0, 3000.0):
+        started_s = clock.now()
+
+        def look(back_s: float = started_s + back_at_s) -> None:
+            if clock.now() < back_s:
+                raise fault
+
+        kept = "The views so far are kept."
+        find = Reconnecting({"cameras": look}, print, clock, said.append, 600.0, kept).wait
+        room = Room()
+        room.lost = [fault]
+        if back_at_s < 600.0:
+            room.gather(tmp_path, ViewsRequest(("left",), (), most=1), find)
+            assert 30.0 <= clock.now() - started_s <= 32.0
+            assert said[-1] == "The cameras are back."
+            continue
+        with pytest.raises(LinkError):
+            room.gather(tmp_path, ViewsRequest(("left",), (), most=1), find)
+        assert 600.0 <= clock.now() - started_s <= 602.0
+    assert kept in said[0]
 
 
 def test_a_camera_that_stays_away_leaves_what_was_taken_and_says_where(tmp_path: Path) -> None:

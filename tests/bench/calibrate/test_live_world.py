@@ -44,6 +44,7 @@ class Lab:
         self.boards: list[BoardPose] = []
         self.text: list[str] = []
         self._tip: Array = np.zeros(3)
+        self.off_mm = 0.0  # along each axis
 
     def look(self) -> dict[str, Grey]:
         self.looks += 1
@@ -76,7 +77,9 @@ class Lab:
             raise LinkError("arm", "silent")
         if self.touched == self.moves_at:
             raise ArmMovesError("arm", f"the tip moved by more than {max_spread_mm} mm")
-        return Reading(tip_mm=self._tip, axis=NORMAL, spread_mm=0.05, n=n, counts=(0, 0, 0, 0, 0))
+        return Reading(
+            tip_mm=self._tip + self.off_mm, axis=NORMAL, spread_mm=0.05, n=n, counts=(0, 0, 0, 0, 0)
+        )
 
     def points(self, folder: Path, board: Board = BOARD) -> Array:
         tip = TipReader(self, Arm(url="emulator:"), None)
@@ -141,7 +144,7 @@ def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: P
     [
         (Lab(hidden_looks=9), "the board was not found at position 1, 4 times"),
         (
-            Lab(wrong=dict.fromkeys(range(4, 8), 0)),
+            Lab(wrong={7 * turn + touch: 0 for turn in range(4) for touch in range(4, 8)}),
             "point 4 of the board was not touched well, 4 times",
         ),
     ],
@@ -150,6 +153,38 @@ def test_what_never_goes_well_ends_it(lab: Lab, why: str, tmp_path: Path) -> Non
     with pytest.raises(DeviceError, match=why):
         lab.points(tmp_path)
     assert not (tmp_path / "points.csv").exists()
+
+
+@pytest.mark.slow
+def test_a_position_whose_touches_do_not_fit_is_done_again_alone(tmp_path: Path) -> None:
+    """Here the first touch was another point's: all after it seem wrong."""
+    lab = Lab(wrong={10: 30})
+    np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
+    assert [asked.number for asked in lab.boards] == [1, 2, 2]
+    assert lab.touched == 9 + 1 + 4 + 9
+    (why,) = [text for text in lab.text if "is done again" in text]
+    assert "point 2 of the board was not touched well, 4 times" in why
+    assert "The points of the position before are kept. Position 2 is done again" in why
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("off_mm", [0.0, 3.0])
+def test_after_the_arm_was_homed_again_one_touch_shows_whether_those_before_count(
+    off_mm: float, tmp_path: Path
+) -> None:
+    lab = Lab()
+    lab.lost_at, find = 5, lab.found
+
+    def homed(_: object) -> None:
+        find()
+        lab.off_mm = off_mm
+
+    lab.found = homed  # type: ignore[assignment]
+    points = lab.points(tmp_path)
+    np.testing.assert_allclose(points, expected() + off_mm, atol=1e-9)
+    assert lab.again[0] == "The arm was homed again."
+    assert lab.touched == 5 + 1 + (5 if not off_mm else 9) + 9
+    assert any("point 4 is 5.20 mm from where it was" in text for text in lab.text) == bool(off_mm)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

@@ -13,6 +13,9 @@ from unittest.mock import patch
 import pytest
 
 import bench
+from bench.cli.arguments import a_run
+from bench.console.watching import listed
+from bench.record.reader import read_run
 from reports.figures.course import control_chart
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
@@ -101,6 +104,19 @@ def test_a_folder_without_runs_stays_as_it_was(said: Said, tmp_path: Path) -> No
     assert said(0, "runs {}", tmp_path).out.endswith("Page: not written: no runs are there\n")
     assert not [*tmp_path.iterdir()]
     assert "is one run" in said(2, "runs {}", KEPT).err
+
+
+def test_a_run_that_was_given_a_name_is_the_latest_only_if_it_was_begun_last(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = str(read_run(runs / "first").facts["wall_started"])
+    monkeypatch.chdir(runs.rename(runs.with_name("runs")).parent)
+    later, earlier = Path("runs/20990101-000000-demo"), Path("runs/19990101-000000-demo")
+    shutil.copytree("runs/first", earlier)
+    assert a_run("latest") == Path("runs/second"), f"begun {begun}"
+    assert [card["name"] for card in listed(Path("runs"))][:2] == ["second", "first"]
+    shutil.copytree("runs/first", later)
+    assert a_run("latest") == later
 
 
 def test_a_run_goes_by_its_name_in_runs(

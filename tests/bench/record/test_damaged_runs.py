@@ -14,12 +14,15 @@ from contextlib import closing, nullcontext
 from pathlib import Path
 
 import pytest
+from junitparser import Error, JUnitXml
 
+from bench import DamagedError, write_report
 from bench.api.records import DAMAGED
 from bench.cli.main import main
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
+from bench.results.status import read_status
 from bench.run.events import RunState
 from tests.bench.commands import Output, Said, teatbench, words
 from tests.bench.killed_runs import Silent, start
@@ -259,6 +262,31 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, 
     assert (read_run(run).ending, len(read_run(run).trials)) == ("finished", 3)
     assert_told(tmp_path, run / "report")
     said(1, "store check {}", run)
+
+
+@pytest.mark.slow
+def test_a_refused_report_withdraws_the_one_before(run: Path, tmp_path: Path, said: Said) -> None:
+    report, summary = run / "report", tmp_path / "summary.md"
+    assert teatbench("report {} --no-pdf", run) in (0, 1, 4)
+    (report / "report.pdf").write_bytes(b"%PDF of before")
+    printed = json.loads((run / PRINTED).read_text(encoding="utf-8"))
+    assert read_status(run).word != "no verdict"
+    sql("UPDATE detections SET wall_seconds = 0.001")(run)
+    assert read_status(run).word == "no verdict", "the console says so before any report"
+    said(2, "report {} --no-pdf --summary {}", run, summary)
+    assert {one.name for one in report.iterdir() if one.is_file()} == {"junit.xml", "run.json"}
+    (case,) = [case for suite in JUnitXml.fromfile(str(report / "junit.xml")) for case in suite]
+    assert isinstance(case.result[0], Error)
+    assert NOT_AS_WRITTEN in str(case.result[0].message)
+    now = json.loads((run / PRINTED).read_text(encoding="utf-8"))
+    assert now["chain"] == printed["chain"], "by which the damage is found again"
+    assert (now["verdict"], now["judgements"], now["trials"]) == ("inconclusive", [], [])
+    assert set(now["status"]["verdicts"].values()) == {"no verdict"}
+    assert now["status"]["word"] == "no verdict"
+    assert now["damage"]
+    assert NOT_AS_WRITTEN in summary.read_text(encoding="utf-8")
+    with pytest.raises(DamagedError):
+        write_report(run)
 
 
 @pytest.mark.slow

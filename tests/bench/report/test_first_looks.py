@@ -107,3 +107,4 @@ def test_what_the_bench_shows_stands_under_no_detector() -> None:
         ("Bench: arm", 1),
     ]
     assert set(board.shared) == {"Bench: bath", "Bench: arm"}
+    assert board.caption == "What each detector shows.", "from 0 values says nothing"

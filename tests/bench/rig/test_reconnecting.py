@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import bench
+from bench.rig.arm_files import load_verification
 from bench.truth.registration import load_registration
 from instruments.errors import DeviceError, InstrumentError, LinkError
-from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.driver import MicroScribe, Reading
 from instruments.stage.calls import StageCalls
 from tests.bench.commands import Person, Said, teatbench
 from tests.bench.operated_runs import shipped_rig
 from tests.bench.truth.test_truth_runs import CARRY, done, script_in
 
 AGAIN = "The arm was lost: put its stylus on its peg"
+SAME = "It shows whether those before count."
 BACK = "The arm is back, and homed again."
 Patch = pytest.MonkeyPatch
 
@@ -52,7 +56,7 @@ def silent(who: str = "arm") -> LinkError:
 @pytest.mark.parametrize(
     ("command", "prompts", "at"),
     [
-        ("frame", ["origin", "x axis", "plane", AGAIN, "plane", "Check point"], 3),
+        ("frame", ["origin", "x axis", "plane", AGAIN, "plane", SAME, "Check point"], 3),
         (
             "verify --distances 1 --touches 5",
             ["Fix the divot", *["tip in the"] * 4, AGAIN, "touch 4 of 5", "touch 5 of 5"],
@@ -73,9 +77,64 @@ def test_an_arm_that_is_lost_amid_its_own_commands_costs_the_touch_under_way(
     assert code == (0 if command == "frame" else 4), person.text
     assert BACK in person.text
     assert "What was touched so far is kept." in person.text
-    assert person.text.count("  read ") == (4 if at == 3 else 5)
+    assert person.text.count("  read ") == 5
     assert (tmp_path / "arm.toml").is_file()
     assert count["done"]
+
+
+@pytest.mark.slow
+def test_a_frame_is_touched_anew_where_the_arm_homes_elsewhere(
+    tmp_path: Path, monkeypatch: Patch
+) -> None:
+    """The points before and after would lie in two frames of the arm."""
+    losing(monkeypatch, MicroScribe, "read", {3: silent()})
+    homings, home, read = list[float](), MicroScribe.home, MicroScribe.read
+
+    def homed(arm: MicroScribe) -> None:
+        homings.append(3.0)
+        home(arm)
+
+    def off(arm: MicroScribe, *given: Any) -> Reading:
+        seen = read(arm, *given)
+        return replace(seen, tip_mm=seen.tip_mm + sum(homings))
+
+    monkeypatch.setattr(MicroScribe, "home", homed)
+    monkeypatch.setattr(MicroScribe, "read", off)
+    anew = ["origin", "x axis", "plane", "Check point"]
+    person = Person(monkeypatch, *anew[:3], AGAIN, "plane", SAME, *anew)
+    assert teatbench("arm frame --port emulator: --homed --out {}", tmp_path / "arm.toml") == 0
+    assert "The origin is 5.2" in person.text
+    assert "All points are touched anew." in person.text
+    points = tomllib.loads((tmp_path / "arm.toml").read_text(encoding="utf-8"))["points"]
+    assert len(points) == 4
+    assert person.text.count("  read ") == 8
+
+
+@pytest.mark.slow
+def test_what_an_arms_command_had_is_kept_or_named_where_it_does_not_end(
+    tmp_path: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prompts = ["Fix the divot", *["tip in the"] * 5, "Fix the divot", *["tip in the"] * 2]
+    person = Person(monkeypatch, *prompts, ("touch 3 of 5", "a"))
+    out, kept = tmp_path / "arm.toml", tmp_path / "arm.unfinished.toml"
+    verify = "arm verify --port emulator: --homed --distances 2 --touches 5 --out {}"
+    assert teatbench(verify, out) == 3
+    assert f"Not verified; kept in {kept}: 1 divot." in " ".join(person.text.split())
+    assert "the operator aborted; nothing was written" not in capsys.readouterr().err
+    assert not out.exists()
+    found = tomllib.loads(kept.read_text(encoding="utf-8"))
+    assert [(one["where"], len(one["tips_mm"])) for one in found["location"]] == [("near", 5)]
+    with pytest.raises(bench.ConfigError, match="unfinished"):
+        load_verification(kept)
+    monkeypatch.undo()
+    person = Person(monkeypatch, *prompts, *["tip in the"] * 3)
+    assert teatbench(verify, out) == 4
+    assert out.exists()
+    assert not kept.exists()
+    monkeypatch.undo()
+    person = Person(monkeypatch, "origin", ("x axis", "a"))
+    assert teatbench("arm frame --port emulator: --homed --out {}", tmp_path / "frame.toml") == 3
+    assert "Touched so far, and lost: origin." in person.text
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ import pytest
 from bench.record.reader import read_run
 from bench.record.state import State
 from bench.results.status import InstrumentStatus, Link, RunStatus, Safe, read_status
+from bench.rig.reconnecting import GARBLED, GONE, POLICIES, REFUSES
 from bench.run import trial as run_trial
 from bench.run.events import (
     AWAY,
@@ -35,7 +36,6 @@ from bench.run.events import (
     event_lines,
     read_events,
 )
-from bench.run.interruptions import GARBLED, GONE, POLICIES, REFUSES
 from tests.bench.commands import teatbench
 from tests.bench.forked import begin
 from tests.bench.killed_runs import Person, Silent, killed_while, only_run, resume, start

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,17 +22,13 @@ from bench.results.verdicts import latency_of
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.guardian_client import Heartbeat
 from bench.rig.model import EmulatedFault
+from bench.rig.reconnecting import GARBLED, GONE, POLICIES, REFUSES, diagnosis
 from bench.run.context import RunContext
 from bench.run.events import EVENT, Events
 from bench.run.interruptions import (
     FILE,
-    GARBLED,
-    GONE,
-    POLICIES,
-    REFUSES,
     Recovery,
     Requests,
-    diagnosis,
     leave_request,
     parse_request,
     was_taken,
@@ -39,13 +36,14 @@ from bench.run.interruptions import (
 from bench.run.start import RunOptions
 from bench.run.trial import TrialRun
 from bench.script.planned_trials import PlannedTrial
-from bench.truth.touching import ExpectedScene, TouchedTruth
+from bench.truth.touching import ExpectedScene, TipReader, TouchedTruth
 from instruments.camera.cameras import CAN_GIVE, CameraSet
 from instruments.camera.closing import CLOSE_S
 from instruments.camera.frame import FrameSet
 from instruments.camera.opencv import LONGEST_WAIT_S, OPEN_S
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
+from instruments.microscribe.driver import MicroScribe, Reading
 from instruments.microscribe.errors import AnotherArmError, SilentArmError
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
 from instruments.stage.driver import Stage
@@ -163,6 +161,67 @@ def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Pat
     again = "done again from its start: the arm check after the trials"
     assert texts(record, "back")[0].endswith(again)
     assert "arm check after" in record.facts
+
+
+def touched_by(homed_alike: bool, folder: Path, monkeypatch: pytest.MonkeyPatch) -> RunRecord:
+    """A run whose arm is homed anew amid the touches of its first trial, as before or 3 mm off."""
+    files(folder, check_point=CHECK_POINT, emulation="prompt_s = 5.0")
+    loss = EmulatedFault(instrument="arm", name="power loss", for_s=15.0)
+    bringer, homings, read = When("taking the truth", 12.0, loss), list[float](), TipReader.read
+
+    def homed(arm: MicroScribe) -> None:
+        homings.append(0.0 if homed_alike else 3.0)
+        home(arm)
+
+    def off(tip: TipReader) -> Reading:
+        seen = read(tip)
+        return replace(seen, tip_mm=seen.tip_mm + sum(homings))
+
+    home = MicroScribe.home
+    monkeypatch.setattr(MicroScribe, "home", homed)
+    monkeypatch.setattr(TipReader, "read", off)
+    record = ended(folder, bringer)
+    assert record.ending == "finished", texts(record, "fault")
+    assert len(homings) == 1
+    return record
+
+
+@pytest.mark.slow
+def test_touches_count_where_an_arm_that_was_homed_again_finds_its_check_point(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = touched_by(True, tmp_path, monkeypatch)
+    (lost_s,) = [one["t_s"] for one in record.events if one["kind"] == "dropped out"]
+    first = record.trials[0].touches
+    kept = sum(touch["t_s"] < lost_s for touch in first)
+    assert kept > 0
+    assert texts(record, "touches") == [f"{TRIALS[0]}: {kept} so far are kept"]
+    assert len(first) == 5, "one more of an end shows that nothing has moved"
+    before, amid, _ = texts(record, "arm")
+    assert before.startswith("arm check before")
+    assert "(1 new: nothing has moved since the others)" in amid
+
+
+@pytest.mark.slow
+def test_touches_go_where_an_arm_that_was_homed_again_misses_its_check_point(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = touched_by(False, tmp_path, monkeypatch)
+    (lost_s,) = [one["t_s"] for one in record.events if one["kind"] == "dropped out"]
+    assert all(touch["t_s"] > lost_s for touch in record.trials[0].touches)
+    _, dropped = texts(record, "touches")
+    assert "are dropped: the check point is 5.2" in dropped
+
+
+@pytest.mark.slow
+def test_touches_go_where_a_rig_without_a_check_point_homes_its_arm_again(tmp_path: Path) -> None:
+    files(tmp_path, emulation="prompt_s = 5.0")
+    loss = EmulatedFault(instrument="arm", name="power loss", for_s=15.0)
+    record = ended(tmp_path, When("taking the truth", 12.0, loss))
+    assert record.ending == "finished", texts(record, "fault")
+    (lost_s,) = [one["t_s"] for one in record.events if one["kind"] == "dropped out"]
+    assert all(touch["t_s"] > lost_s for touch in record.trials[0].touches)
+    assert texts(record, "touches")[1].endswith("and the rig has no check point (docs/rig.md)")
 
 
 @pytest.mark.slow
@@ -548,5 +607,5 @@ def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(
     )
     ctx.long = partial(RunContext.long, ctx)
     look_s = len(CAN_GIVE) * (CLOSE_S + OPEN_S + LONGEST_WAIT_S)
-    assert Recovery(ctx, lambda: hang(look_s))._back("cameras")
+    Recovery(ctx, lambda: hang(look_s))._attempt("cameras")
     assert ctx.devices.heard == {"cameras": 5.0}

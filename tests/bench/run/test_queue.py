@@ -17,11 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from junitparser import JUnitXml
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import Row
 from bench.record.writer import Store
+from bench.report.runs import list_runs
+from bench.results.exports import HAS_VERDICT
 from bench.results.queue import DIED, ENDED, QueueNote, QueueStatus, queues, read_queue
 from bench.results.status import Safe, status_of
 from bench.rig.emulated_rig import EmulatedRig
@@ -174,6 +177,18 @@ def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) 
     assert queue.headline == "ended early, 1 of 3 scripts finished: a run was aborted"
     assert queue.scripts[2].text == "not begun"
     assert "bath is safe" in kinds(second, "safe")
+    out = second.folder.parent
+    (path,) = out.glob("queue-*/report/junit.xml")
+    (case,) = [case for suite in JUnitXml.fromfile(str(path)) for case in suite]
+    assert (case.classname, case.name) == ("c", HAS_VERDICT)
+    assert case.result[0].message == f"not begun. The queue {queue.headline}."
+    assert not list_runs(out).others
+
+
+def test_a_queue_of_which_all_ran_has_no_errors_of_its_own(scripts: list[str]) -> None:
+    run(scripts[:2])
+    out = Path(scripts[0]).parent / "runs"
+    assert len([*out.glob("*/report/junit.xml")]) == 2
 
 
 @pytest.mark.weekly
