@@ -1,7 +1,6 @@
 # The names of this package, once: type checkers read them here, and so does textfiles/lazy.py.
 from bench import testing as testing
 from bench.api.arms import ArmReading as ArmReading
-from bench.api.arms import ArmView as ArmView
 from bench.api.arms import VerifiedArm as VerifiedArm
 from bench.api.arms import open_arm as open_arm
 from bench.api.arms import read_arm as read_arm
@@ -164,6 +163,7 @@ from instruments.bath.access import RowAnswer as RowAnswer
 from instruments.camera.quality import edge_blur_px as edge_blur_px
 from instruments.captures.replay import Replay as Replay
 from instruments.captures.replay import replay_wire as replay_wire
+from instruments.microscribe.driver import ArmView as ArmView
 from instruments.operators.operator import OperatorAbort as OperatorAbort
 from instruments.operators.operator import OperatorEnough as OperatorEnough
 from instruments.operators.operator import OperatorRepeat as OperatorRepeat

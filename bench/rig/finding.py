@@ -219,7 +219,7 @@ def write_rig(
             try:
                 camera_url(str(table["url"]))
             except ValueError as error:
-                raise ConfigError.plain(f"{table['url']}: {error}") from error
+                raise ConfigError.plain(f"{name}.url: {table['url']}: {error}") from error
     whole = "cameras" in given and given["cameras"].get("url")
     missing = [name for name in PLACES if "url" not in given.get(name, {})]
     missing = [name for name in missing if not (whole and name.startswith("cameras."))]
