@@ -228,9 +228,10 @@ def undisturbed() -> Iterator[None]:
     """Some libraries change what the whole process has: the working folder, by which files of a run
     are named, who may read new files, what Ctrl-C does, where modules are found, what `open`,
     `time.sleep` and `json.dumps` are, what is an error to NumPy, how much memory and how many files
-    there may be, and the stack that a thread gets and what it does with its errors, without which
-    none starts. A handler that one gives the root logger, which every library's words go to, raises
-    nothing in the bench. A copy of the process that one forks ends where it would come back.
+    there may be, how deep calls go, what traces new threads, and the stack that a thread gets and
+    what it does with its errors, without which none starts. A handler that one gives the root
+    logger, which every library's words go to, raises nothing in the bench. A copy of the process
+    that one forks ends where it would come back.
     """
     given: Any = threading.excepthook, sys.excepthook  # None, by a thread of a driver's
     hooks = given[0] or threading.__excepthook__, given[1] or sys.__excepthook__
@@ -242,7 +243,8 @@ def undisturbed() -> Iterator[None]:
         (vars(module), {name: one for name, one in vars(module).items() if callable(one)})
         for module in (builtins, time, json, logging)
     ]
-    logs, limits = [*logging.root.handlers], _limits()
+    logs, limits, depth = [*logging.root.handlers], _limits(), sys.getrecursionlimit()
+    traced, profiled = threading.gettrace(), threading.getprofile()
     with suppress(OSError):  # it may be gone
         folder = Path.cwd()
     handlers = {one: signal.getsignal(one) for one in ENDING}
@@ -263,6 +265,9 @@ def undisturbed() -> Iterator[None]:
             if log not in logs:
                 log.handle = partial(_handle, log.handle)  # type: ignore[method-assign]
         _put_back(limits)
+        threading.settrace(traced)
+        threading.setprofile(profiled)
+        sys.setrecursionlimit(max(depth, sys.getrecursionlimit()))
         with suppress(OSError):
             os.chdir(folder)
         sys.path.extend(one for one in path if one not in sys.path)

@@ -223,6 +223,8 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         sys.meta_path.clear()
         threading.stack_size(1 << 40)
         builtins.open = time.sleep = json.dumps = fails  # type: ignore[assignment]
+        threading.settrace(fails)
+        sys.setrecursionlimit(200)
         logging.root.addHandler(log)
         logging.root.setLevel(logging.DEBUG)
         if sys.platform != "win32":
@@ -253,7 +255,7 @@ def _of_the_process() -> tuple[object, ...]:
     threading.stack_size(stack)
     handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     limit = None if sys.platform == "win32" else resource.getrlimit(resource.RLIMIT_AS)
-    calls = open, time.sleep, json.dumps
+    calls = open, time.sleep, json.dumps, threading.gettrace(), sys.getrecursionlimit()
     return *handlers, np.geterr(), stack, *calls, [*sys.meta_path], limit
 
 
