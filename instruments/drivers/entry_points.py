@@ -248,8 +248,6 @@ def undisturbed() -> Iterator[None]:
     with suppress(OSError):  # it may be gone
         folder = Path.cwd()
     handlers = {one: signal.getsignal(one) for one in ENDING}
-    if sys.platform != "win32":
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])
     process, mask = os.getpid(), os.umask(0o022)
     os.umask(mask)
     try:
@@ -266,8 +264,6 @@ def undisturbed() -> Iterator[None]:
         for log in logging.root.handlers:
             if log not in logs:
                 log.handle = partial(_handle, log.handle)  # type: ignore[method-assign]
-        if sys.platform != "win32":
-            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         _put_back(limits)
         threading.settrace(traced)
         threading.setprofile(profiled)

@@ -223,8 +223,6 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         sys.meta_path.clear()
         threading.stack_size(1 << 40)
         builtins.open = time.sleep = json.dumps = fails  # type: ignore[assignment]
-        if sys.platform != "win32":
-            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         threading.settrace(fails)
         sys.setrecursionlimit(200)
         logging.root.addHandler(log)
@@ -258,7 +256,7 @@ def _of_the_process() -> tuple[object, ...]:
     handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     limit: object = None
     if sys.platform != "win32":
-        limit = resource.getrlimit(resource.RLIMIT_AS), signal.pthread_sigmask(signal.SIG_BLOCK, [])
+        limit = resource.getrlimit(resource.RLIMIT_AS)
     calls = open, time.sleep, json.dumps, threading.gettrace(), sys.getrecursionlimit()
     return *handlers, np.geterr(), stack, *calls, [*sys.meta_path], limit
 
