@@ -1,7 +1,6 @@
 # The names of this package, once: type checkers read them here, and so does textfiles/lazy.py.
 from bench import testing as testing
 from bench.api.arms import ArmReading as ArmReading
-from bench.api.arms import ArmView as ArmView
 from bench.api.arms import VerifiedArm as VerifiedArm
 from bench.api.arms import open_arm as open_arm
 from bench.api.arms import read_arm as read_arm
@@ -16,9 +15,12 @@ from bench.api.calibration import touch_points as touch_points
 from bench.api.campaigns import CampaignResult as CampaignResult
 from bench.api.campaigns import run_campaign as run_campaign
 from bench.api.instruments import BathView as BathView
+from bench.api.instruments import TriedBath as TriedBath
 from bench.api.instruments import acknowledge as acknowledge
 from bench.api.instruments import describe_bath as describe_bath
 from bench.api.instruments import record_frames as record_frames
+from bench.api.instruments import thermal_profiles as thermal_profiles
+from bench.api.instruments import try_bath as try_bath
 from bench.api.instruments import watch_bath as watch_bath
 from bench.api.planning import ScriptPlan as ScriptPlan
 from bench.api.planning import check_script as check_script
@@ -136,6 +138,7 @@ from bench.rig.alone import with_retries as with_retries
 from bench.rig.arm_files import TableFrame as TableFrame
 from bench.rig.finding import FoundInstrument as FoundInstrument
 from bench.rig.finding import find_instruments as find_instruments
+from bench.rig.finding import write_rig as write_rig
 from bench.rig.leaving import NotSafeError as NotSafeError
 from bench.rig.live_page import LivePage as LivePage
 from bench.rig.live_page import live_page as live_page
@@ -157,9 +160,11 @@ from bench.script.model import LoadedScript as LoadedScript
 from bench.truth.registration import write_registration as write_registration
 from bench.truth.touching import NoTruthError as NoTruthError
 from bench.version import __version__ as __version__
+from instruments.bath.access import RowAnswer as RowAnswer
 from instruments.camera.quality import edge_blur_px as edge_blur_px
 from instruments.captures.replay import Replay as Replay
 from instruments.captures.replay import replay_wire as replay_wire
+from instruments.microscribe.driver import ArmView as ArmView
 from instruments.operators.operator import OperatorAbort as OperatorAbort
 from instruments.operators.operator import OperatorEnough as OperatorEnough
 from instruments.operators.operator import OperatorRepeat as OperatorRepeat

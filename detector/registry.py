@@ -7,13 +7,13 @@ by name only.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from json import dumps, loads
 from typing import TYPE_CHECKING, Any, cast
 
 from textfiles.text import named
@@ -140,7 +140,7 @@ def _plugged(plug: EntryPoint) -> PluginDetector:
     try:
         given = plug.load()
         made = given() if isinstance(given, type) or not hasattr(given, "detect") else given
-        parameters = json.loads(json.dumps(dict(getattr(made, "parameters", {})), default=_plain))
+        parameters = loads(dumps(dict(getattr(made, "parameters", {})), default=_plain))
         own = plug.dist.version if plug.dist else "unknown"
         version = _line(str(getattr(made, "version", None) or own))
         trained_on = trained_on_of(getattr(made, "trained_on", {}))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ from instruments.errors import (
     TouchAgainError,
 )
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.driver import Reading
+from instruments.microscribe.driver import ArmView, Reading
 from instruments.operators.console import Console
 from instruments.operators.operator import Coordinates, Operator
 from instruments.operators.prompted import PromptedOperator
@@ -198,6 +198,11 @@ class PointArm:
     def glance(self) -> Reading | None:
         """None: a point is there once it is touched."""
         return None
+
+    def watch(self, every_s: float) -> Iterator[ArmView]:
+        """Raises LimitError: a point is there once it is touched."""
+        what = "it can't be watched: the software of this arm does that"
+        raise LimitError(self.who, what, asked=f"watch every {every_s:g} s")
 
     def buttons(self) -> int:
         """No pedals are known of it."""

@@ -270,6 +270,9 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
     ("write_opencv", {"part": PART, "path": "no/a"}), ("write_bouguet", {"part": PART, "path": "no/a"}),
     ("write_calibration", {"found": PART, "out": "D"}), ("open_stage", {"url": "socket://h:1", "axes": "XQ"}),
     ("open_stage", {"url": "socket://h:1", "dialect": "gbrl"}), ("run_campaign", {"out": "o", "plan": {"familes": 1}}),
+    ("open_bath", {"profile": "julabo-presto", "url": "there"}), ("open_bath", {"profile": "julabo-presto", "url": "emulator:x"}),
+    ("open_stage", {"url": "emulator:x"}), ("run_script", {"events": "no/such"}), ("run_script", {"notify": ["nonsense://x"]}),
+    ("write_rig", {"out": "o", "tables": {"bath": {"profil": "x"}}}), ("write_rig", {"out": "o", "tables": {"cameras.left": {"url": "4"}}}),
     ("run_campaign", {"plan": {}, "out": "o", "workers": -1}), ("read_foreign", {"files": ["F"], "kind": "matlap"}),
     ("open_detector", {"detector": PluginDetector}), ("plan_poses", {"failures": -1}), ("plan_poses", {"shift_mm": 1.0}), ("plan_poses", {"u_mm": 1.0}), ("read_rows", {"folder": "D", "kind": int}), ("pack_run", {"run": "D", "out": "o", "licence": "mine"}),
 ]  # fmt: skip

@@ -4,7 +4,7 @@ stands on the table, and how good it is. The person is asked at the terminal, or
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,9 +44,7 @@ from bench.scoring.decisions import Verdict
 from bench.scoring.stated_u import StatedCheck, refuted
 from instruments.captures.capture import CaptureFile
 from instruments.drivers.protocols import Arm
-from instruments.errors import LimitError
-from instruments.microscribe.driver import MicroScribe, Sample
-from instruments.microscribe.pedals import Pedal
+from instruments.microscribe.driver import ArmView
 from instruments.operators.operator import Operator
 from instruments.points import points_url
 from textfiles.bounds import ABOVE_0, COUNT
@@ -54,19 +52,6 @@ from textfiles.text import plural
 
 ARM = ArmTable.model_fields
 BAUD, ANSWER_S = ARM["baud"].default, ARM["answer_s"].default
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmView:
-    """What `watch_arm` sees: the tip (3,) in the arm's frame, which pedals are down, packets a
-    second, and how many were damaged so far. ``t_s`` is by the arm's clock.
-    """
-
-    t_s: float
-    tip_mm: NDArray[np.float64]
-    pedals: Mapping[str, bool]
-    packets_per_s: float
-    damaged: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,21 +128,11 @@ def open_arm(
 
 
 def watch_arm(arm: Arm, every_s: float = 0.2) -> Generator[ArmView, None, None]:
-    """Views of a homed arm as it streams, one each ``every_s``, until you leave. Raises
-    InstrumentError; LimitError for one that is no MicroScribe.
+    """Views of a homed arm, one each ``every_s``, until you leave. Raises InstrumentError, which is
+    a LimitError for one whose position only its own software has.
     """
-    if not isinstance(arm, MicroScribe):
-        raise LimitError(arm.who, "only a MicroScribe can be watched", asked="watch")
-    with arm.stream() as stream:
-        samples: list[Sample] = []
-        for sample in stream:
-            samples.append(sample)
-            if (span_s := sample.t_s - samples[0].t_s) < every_s:
-                continue
-            down = {one.name.lower(): bool(sample.buttons & one.value) for one in reversed(Pedal)}
-            tip_mm, rate = arm.position(samples).tip_mm, (len(samples) - 1) / span_s
-            yield ArmView(sample.t_s, tip_mm, down, rate, arm.damaged)
-            samples = []
+    check_within(ABOVE_0, every_s=every_s)
+    yield from arm.watch(every_s)
 
 
 def read_arm(

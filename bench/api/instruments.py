@@ -20,9 +20,11 @@ from bench.safety import latch
 from bench.safety.bath_monitor import RATE_S, seconds_to_stable
 from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
+from instruments.bath.access import RowAnswer
 from instruments.bath.driver import Bath as OwnBath
 from instruments.bath.interface import Bath
 from instruments.bath.reading import BathReading
+from instruments.camera.radiometric import PROFILES
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError
@@ -93,6 +95,26 @@ def describe_bath(bath: OwnBath) -> Mapping[str, object]:
         "pump": bath.pump,
         "comms_loss": bath.profile.comms_loss,
     }
+
+
+def thermal_profiles() -> tuple[str, ...]:
+    """What a rig file may name as the ``profile`` of a thermal camera that gives temperatures."""
+    return tuple(PROFILES)
+
+
+@dataclass(frozen=True, slots=True)
+class TriedBath:
+    """What became of each row of a profile; ``doubt``: why what answers may be no controller."""
+
+    rows: tuple[RowAnswer, ...]
+    doubt: str
+
+
+def try_bath(bath: OwnBath) -> TriedBath:
+    """Ask a bath for each row of its profile by itself, for a profile that is being made: open it
+    with ``identify=False``. Writes nothing. Raises LinkError.
+    """
+    return TriedBath(tuple(bath.try_rows()), bath.doubt)
 
 
 def record_frames(

@@ -20,11 +20,11 @@ from bench.config import ConfigError, all_of, check_within, several, wrong_use
 from bench.record.reader import RunRecord, opened
 from bench.record.recording import RecordingError
 from bench.record.schema import tables_of
-from bench.results.status import Reported
+from bench.results.status import Reported, RunStatus
 from bench.rig.leaving import to_stderr
 from bench.rig.loading import LoadedRig, shipped
 from bench.run import estimate
-from bench.run.events import Progress
+from bench.run.events import ENDED, Events, Progress, event_lines
 from bench.run.resume import ASKED, files_of
 from bench.safety.signals import in_own_thread
 from bench.script.model import TRIALS, LoadedScript, find_script
@@ -102,11 +102,15 @@ def run_script(
     progress: Progress | None = None,
     typed: Callable[[], str | None] = lambda: None,
     begun: Callable[[str], None] = lambda _: None,
+    events: Path | str | None = None,
+    notify: Sequence[str] = (),
 ) -> Reported:
     """Run a trial script on a rig, and write its report: `teatbench run`. ``record``: also a
     recording there; ``speed`` of emulators that are watched, 1 for real time; ``typed``: lines of a
-    person; ``begun`` gets where the run is kept and how long it takes. A fault ends the run, which
-    is then reported. Raises ConfigError, LatchedError, RigInUseError before anything is opened.
+    person; ``begun`` gets where the run is kept and how long it takes; ``events``: a file for them,
+    a JSON line each; ``notify``: who gets word, in place of the rig's [notify]. A fault ends the
+    run, which is then reported. Raises ConfigError, LatchedError, RigInUseError before anything is
+    opened.
     """
     (found,) = run_queue(
         [script],
@@ -121,6 +125,8 @@ def run_script(
         progress=progress,
         typed=typed,
         begun=begun,
+        events=events,
+        notify=notify,
     )
     return found
 
@@ -139,6 +145,8 @@ def run_queue(
     progress: Progress | None = None,
     typed: Callable[[], str | None] = lambda: None,
     begun: Callable[[str], None] = lambda _: None,
+    events: Path | str | None = None,
+    notify: Sequence[str] = (),
 ) -> tuple[Reported, ...]:
     """As `run_script`, one script after the other on a rig that stays open and warm. Fewer come
     back where a trip, an abort or what could not be made safe ended them.
@@ -160,19 +168,56 @@ def run_queue(
         raise ConfigError.plain("`record` is of one script. Give one, or leave `record` out.")
     how = RunOptions(seed, tested, to, realtime or speed is not None, speed, capture, typed, begun)
     parts = _Parts(shown)
-    ended = started(loaded, found, Path(out), shown, replace(how, between=parts.grow))
-    shown.state("writing the report")
-    reports: list[Reported] = []
-    for (folder, _), script in zip(ended, found, strict=False):
-        try:
-            reports.append(_timed(parts.report(folder), loaded, script))
-        # of a full disk, or a file that is gone: each run is kept, whatever becomes of the others
-        except (OSError, sqlite3.Error, ConfigError, RecordingError) as error:
-            if len(found) == 1:
-                raise
-            at = getattr(error, "filename", None) or folder
-            shown.warn(f"{at}: {refusal(error)}")
+    with _followed(shown, events, several("notify", notify) or loaded.rig.notify.urls) as (
+        stream,
+        word,
+    ):
+        ended = started(loaded, found, Path(out), stream, replace(how, between=parts.grow))
+        stream.state("writing the report")
+        reports: list[Reported] = []
+        for (folder, _), script in zip(ended, found, strict=False):
+            try:
+                reports.append(_timed(parts.report(folder), loaded, script))
+            # of a full disk, or a file that is gone: each is kept, whatever becomes of the others
+            except (OSError, sqlite3.Error, ConfigError, RecordingError) as error:
+                if len(found) == 1:
+                    raise
+                at = getattr(error, "filename", None) or folder
+                stream.warn(f"{at}: {refusal(error)}")
+        word([one.status for one in reports], Path(out) if len(found) > 1 else None)
     return tuple(reports)
+
+
+Word = Callable[[Sequence[RunStatus], Path | None], None]
+
+
+@contextmanager
+def _followed(
+    shown: Progress, file: Path | str | None, urls: Sequence[str]
+) -> Iterator[tuple[Events, Word]]:
+    """A run's events, shown, written to ``file`` and sent as word to ``urls``; what sends the last
+    word, of all runs as they ended, and how the queue in a folder did.
+    """
+    from bench.run.notify import notifying, text_of
+
+    with event_lines(None if file is None else Path(file)) as lines:
+        events = Events(shown, lines)
+        with notifying(urls, events.warn) as send:
+
+            def ended(runs: Sequence[RunStatus], queue: Path | None = None) -> None:
+                title, texts = f"Queue: {ENDED}", list[str]()
+                if queue:
+                    from bench.report.runs import queue_headline
+
+                    texts.append(f"Queue: {queue_headline(queue, [one.run for one in runs])}")
+                for status in runs:
+                    own, text = text_of(ENDED, status) or ("", "")
+                    title = title if queue else own
+                    texts.append(f"{status.run}: {text}" if queue else text)
+                send(ENDED, lambda: (title, "\n\n".join(texts)))
+
+            events.notify = lambda kind: send(kind, lambda: text_of(kind, events.status()))
+            yield events, ended
 
 
 def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
@@ -226,6 +271,8 @@ def resume_run(
     progress: Progress | None = None,
     typed: Callable[[], str | None] = lambda: None,
     begun: Callable[[str], None] = lambda _: None,
+    events: Path | str | None = None,
+    notify: Sequence[str] = (),
     damage: Damage = None,
 ) -> Reported:
     """Go on with a run that stopped, at its first trial without a result: `teatbench resume`.
@@ -238,9 +285,13 @@ def resume_run(
     parts = _Parts(shown := progress or Quiet())
     how = RunOptions(capture=capture, typed=typed, begun=begun, between=parts.grow)
     with known([Path(folder)], damage) as there:
-        resumed(Path(folder), shown, how)
-        shown.state("writing the report")
-        return parts.report(Path(folder), there)
+        urls = several("notify", notify) or rig_of_run(folder).rig.notify.urls
+        with _followed(shown, events, urls) as (stream, word):
+            resumed(Path(folder), stream, how)
+            stream.state("writing the report")
+            found = parts.report(Path(folder), there)
+            word([found.status], None)
+            return found
 
 
 def score_recording(

@@ -31,6 +31,7 @@ from detector import registry
 from detector.calibration import Calibration
 from detector.protocol import Detection, Detector, DetectorProcess
 from instruments.camera.frame import FrameSet
+from instruments.drivers.entry_points import undisturbed
 from instruments.world.labels import Labeller, Labels
 from instruments.world.scene import Renderer
 from instruments.world.setups import Situation
@@ -126,7 +127,8 @@ def detectors() -> dict[str, str]:
     """Each detector by its name, with a line on it: shipped, of other packages, declared in the
     folder ``detectors``. One that can't be used is BROKEN.
     """
-    faulty = {name: f"BROKEN: {why}" for name, why in registry.broken().items()}
+    with undisturbed():  # each is loaded
+        faulty = {name: f"BROKEN: {why}" for name, why in registry.broken().items()}
     return {**declared(), **registry.available(), **faulty}
 
 

@@ -330,22 +330,3 @@ def parsed(function: str) -> Callable[[str], Any]:
             raise argparse.ArgumentTypeError(str(error)) from error
 
     return take
-
-
-def address(instrument: str) -> Callable[[str], str]:
-    """Where a "bath" or "stage" is, as in a rig file, but not an emulated one."""
-
-    def take(text: str) -> str:
-        from bench.rig.urls import bath_url, is_emulated, stage_url
-
-        try:
-            if is_emulated(text):
-                raise ValueError(
-                    f"an emulated {instrument} lives in the bench; 'teatbench emulate' serves one"
-                    " at a port"
-                )
-            return bath_url(text) if instrument == "bath" else stage_url(text)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(f"{text!r} is no {instrument}: {error}") from error
-
-    return take

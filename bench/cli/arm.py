@@ -8,12 +8,13 @@ import sys
 from collections.abc import Iterable
 from contextlib import closing, suppress
 from dataclasses import fields
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import bench
 from bench.cli.arguments import CODES, code_of, complain, in_switches, print_json, say
-from instruments import RealClock
+from instruments import LimitError, RealClock
 
 
 def _link(given: argparse.Namespace) -> dict[str, Any]:
@@ -46,28 +47,29 @@ def read(given: argparse.Namespace) -> None:
         say(f"    {_mm(found.world_mm)} in the world (frame of {found.frame.made:%Y-%m-%d})")
 
 
-def watch(given: argparse.Namespace) -> None:
+def watch(given: argparse.Namespace) -> int:
     live, clock = sys.stdout.isatty(), RealClock()
     opened = bench.open_arm(given.port, homed=given.homed, ask=True, **_link(given))
     with closing(clock), opened as arm:
-        if not arm.pedals:
-            what = "only a MicroScribe can be watched: the software of another arm does that"
-            raise bench.ConfigError.plain(what)
         end_s = clock.now() + (given.seconds or math.inf)
         with suppress(KeyboardInterrupt), closing(bench.watch_arm(arm)) as views:
-            for seen in views:
-                each = (f"{one} {'DOWN' if down else 'up'}" for one, down in seen.pedals.items())
-                (x, y, z), pedals = seen.tip_mm, ", ".join(each)
-                print(
-                    f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
-                    f" {seen.packets_per_s:6.1f} packets/s   damaged: {seen.damaged}",
-                    end="\r" if live else "\n",
-                    flush=True,
-                )
-                if clock.now() >= end_s:
-                    break
+            try:
+                for seen in takewhile(lambda _: clock.now() < end_s, views):
+                    print(_view(seen), end="\r" if live else "\n", flush=True)
+            except LimitError as error:
+                return complain(str(error), CODES.wrong_use)
     if live:
         print(flush=True)
+    return CODES.met
+
+
+def _view(seen: bench.ArmView) -> str:
+    each = (f"{one} {'DOWN' if down else 'up'}" for one, down in seen.pedals.items())
+    (x, y, z), pedals = seen.tip_mm, ", ".join(each) or "none are known"
+    return (
+        f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
+        f" {seen.packets_per_s:6.1f} packets/s   damaged: {seen.damaged}"
+    )
 
 
 def home(given: argparse.Namespace) -> None:

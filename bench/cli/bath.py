@@ -25,7 +25,6 @@ import bench
 from bench.cli.arguments import CODES, complain, print_json, print_values, say
 from bench.cli.terminal import Terminal
 from instruments import BathReading, InstrumentError, LimitError, RealClock
-from instruments.bath.access import NOT_READ
 
 PERIOD_S = 1.0
 KEPT_S = 3600.0
@@ -51,8 +50,8 @@ def read(given: argparse.Namespace) -> None:
 def learn(given: argparse.Namespace) -> int:
     """Asks for each row by itself and writes nothing: for a profile that is being made."""
     with _opened(given, identify=False) as bath:
-        tried, doubt = list(bath.try_rows()), bath.doubt
-    answered = [one for one in tried if one.answered]
+        found = bench.try_bath(bath)
+    tried, asked = found.rows, [one for one in found.rows if one.readable]
     if given.json:
         print_json({"rows": [asdict(one) for one in tried]})
     else:
@@ -60,13 +59,13 @@ def learn(given: argparse.Namespace) -> int:
         for one in tried:
             mark = "+" if one.sensible else "?" if one.answered else "-"
             print(f"{mark} {one.row:{width}}  {one.asked}: {one.said}")
-        asked = [one for one in tried if one.asked != NOT_READ]
         sensible = sum(one.sensible for one in tried)
         print(f"{sensible} of {len(asked)} rows that can be read made sense")
-    if doubt:
-        return complain(f"bath at {given.port}: no controller answers: {doubt}", CODES.fault)
-    if not answered:
-        why = next((one.said for one in tried if one.asked != NOT_READ), "it can't be read")
+    if found.doubt:
+        why = f"no controller answers: {found.doubt}"
+        return complain(f"bath at {given.port}: {why}", CODES.fault)
+    if not any(one.answered for one in tried):
+        why = next((one.said for one in asked), "it can't be read")
         return complain(f"bath at {given.port}: no row made sense: {why}", CODES.fault)
     return CODES.met
 

@@ -24,7 +24,6 @@ from bench.cli.commands import CAMERAS
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from detector.calibration.gate import pair_faults
 from textfiles.text import plural
 from textfiles.whole import refusal
 
@@ -357,7 +356,7 @@ def take_over(given: argparse.Namespace) -> None:
         part = bench.read_foreign(given.file, given.format, given.image_size)
     made = (lambda _: part) if given.rig else (lambda record: replace(part, record=record))
     _finish(given, made, inputs=given.file)
-    for fault in pair_faults(part.right_from_left) if part.right_from_left else ():
+    for fault in part.pair_faults:
         complain(f"look at T before you go on: {fault}", CODES.met)
 
 

@@ -13,7 +13,6 @@ from typing import Any
 from bench.cli.arguments import (
     Argument,
     a_run,
-    address,
     flag,
     number,
     one_of,
@@ -131,7 +130,6 @@ BATH_LINK = (
     option(
         "--port URL",
         "where the controller is, as in a rig file's [bath] url",
-        address("bath"),
         required=True,
     ),
     option(
@@ -148,7 +146,6 @@ STAGE_LINK = (
         option(
             "--port URL",
             "where the controller is, as in a rig file's [stage] url",
-            address("stage"),
         ),
         option("--rig RIG", "the stage of this rig"),
         required=True,

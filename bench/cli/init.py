@@ -8,15 +8,9 @@ from collections.abc import Callable, Collection, Mapping
 from datetime import date
 
 import bench
+from bench import FoundInstrument
 from bench.cli.arguments import CODES, refuse_existing, say
-from bench.config import ConfigError, parse_config, read_text, write_file
-from bench.rig.finding import FoundInstrument, rig_text
-from bench.rig.loading import PLACES, TO_COPY
-from bench.rig.model import Rig, camera_url
-from instruments.bath.profile import load_profile
-from instruments.camera.radiometric import PROFILES
-from instruments.clock import wall_time
-from instruments.drivers.entry_points import PluginUrl
+from bench.config import ConfigError
 from textfiles.text import in_command
 
 # standard uncertainty by model, mm, as the maker states it
@@ -39,24 +33,17 @@ def init(given: argparse.Namespace) -> int:
         return sys.stdin.readline().strip() or default
 
     name = ask("What is the rig called?", "udder lab")
-    values: dict[str, dict[str, object]] = {"": {"name": name, "calibration": "calibration.toml"}}
-    values["operator"] = {"url": "console:"}
+    values: dict[str, dict[str, object]] = {"": {"name": name}}
     for kind in _ABOUT:
         if one := _chosen(kind, [each for each in found if each.kind == kind], ask):
             about_it = _ABOUT[kind](one, ask)
             values |= {kind: {"url": one.url, **about_it}} if about_it else {}
-    values.setdefault("bath", {"profile": "julabo-presto"})
     values |= _cameras(cameras, ask)
-    missing = {name: url for name, url in PLACES.items() if "url" not in values.get(name, {})}
-    about = [f"Written by 'teatbench init' on {wall_time():%Y-%m-%d}. What was found:"]
+    about = ["By 'teatbench init'. What was found:"]
     about += [f"  {one.url}: {one.kind}, {one.who}" for one in found]
     about += [f"  {url}: camera, {name}" for url, name in cameras.items()]
-    about += [f"  nothing for {name}" for name in missing]
     about += [f"Next: teatbench check {in_command(given.out.name)}, then 'teatbench help lab'."]
-    text = rig_text(read_text(TO_COPY), values, missing, "\n".join(about))
-    parse_config(given.out, text, Rig)
-    write_file(given.out, text)
-    for name in missing:
+    for name in bench.write_rig(given.out, values, about):
         say(f"not found: {name}; its url is marked in the file")
     print(f"Written: {given.out}. Next: teatbench check {in_command(given.out)}")
     return CODES.met
@@ -101,7 +88,7 @@ def _bath(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
     tested = ask("On which day was the bath's own cut-out tested (2026-11-20)?", "")
     profile = _one_of("the profile", answer, profiles)
     values = {"profile": profile, "cut_out_tested": _day(tested)}
-    if not load_profile(profile).number_unit.known:
+    if not bench.bath_profile(profile).number_unit.known:
         same = "did the bath's display and 'teatbench bath read' show the same, in degC"
         values["unit_confirmed"] = _day(ask(f"On which day {same} (2026-11-20)?", ""))
     return values
@@ -130,9 +117,8 @@ def _stage(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
             return {}
         _figures("microsteps per mm", scales, "20997.4, 20997.4")
         named = [one.strip().replace(" ", ".") for one in devices.split(",")]
-        keys = {"devices": ",".join(named), "microsteps": scales.replace(" ", ""), "axes": axes}
-        plug = PluginUrl("zaber", keys)
-        values["url"] = plug.at(found.url)
+        keys = {"devices": ",".join(named), "microsteps": scales.replace(" ", "")}
+        values["url"] = found.driver_url(**keys, axes=axes)
     else:
         values["dialect"] = found.dialect
     if found.dialect != "grbl":  # places are positive
@@ -156,15 +142,12 @@ def _cameras(there: Mapping[str, str], ask: Ask) -> dict[str, dict[str, object]]
     values: dict[str, dict[str, object]] = {}
     for name in ("left", "right", "thermal"):
         listed = f" ({', '.join(there)}, or another url)" if there else " (its url)"
-        if not (url := ask(f"Which is the {name} camera{listed}?", "")):
-            continue
-        try:
-            values[f"cameras.{name}"] = {"url": camera_url(url)}
-        except ValueError as error:
-            raise ConfigError.plain(f"{url}: {error}") from error
-    asked = f"Does it deliver temperatures ({', '.join(PROFILES)})?"
+        if url := ask(f"Which is the {name} camera{listed}?", ""):
+            values[f"cameras.{name}"] = {"url": url}
+    profiles = bench.thermal_profiles()
+    asked = f"Does it deliver temperatures ({', '.join(profiles)})?"
     if "cameras.thermal" in values and (profile := ask(asked, "")):
-        known = _one_of("the radiometric profile", profile, PROFILES)
+        known = _one_of("the radiometric profile", profile, profiles)
         values["cameras.thermal"]["radiometric"] = {"profile": known}
     return values
 

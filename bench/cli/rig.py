@@ -21,7 +21,6 @@ from bench.cli.arguments import (
 )
 from bench.cli.terminal import working
 from bench.files import write_synced
-from bench.rig.loading import TO_COPY
 from textfiles.text import plural
 
 
@@ -59,11 +58,12 @@ def emulate(given: argparse.Namespace) -> None:
 
 
 def rigs(given: argparse.Namespace) -> None:
+    to_copy = bench.load_rig("lab.example").path
     if given.json:
-        print_json({"rigs": bench.rigs(), "to_copy": str(TO_COPY)})
+        print_json({"rigs": bench.rigs(), "to_copy": str(to_copy)})
         return
     names = dict.fromkeys(bench.rigs(), "")
-    print_values(names | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})
+    print_values(names | {"for a real rig": f"copy {to_copy}, where every key is explained"})
 
 
 def replay_wire(given: argparse.Namespace) -> int:

@@ -8,16 +8,16 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import bench
 from bench.cli.arguments import CODES, print_json, say
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError, all_of
-from bench.run.events import ENDED, Events, event_lines
 from instruments.operators.console import keyboard_of
 from textfiles.whole import refusal
 
@@ -38,8 +38,7 @@ def run(given: argparse.Namespace) -> int:
         from bench.cli.dry_run import look_ahead
 
         how = {"out": given.out, "detectors": given.detector, "seed": given.seed}
-        with event_lines(given.events):
-            done = [look_ahead(rig, one, given.json, len(scripts) > 1, **how) for one in scripts]
+        done = [look_ahead(rig, one, given.json, len(scripts) > 1, **how) for one in scripts]
         if given.json:
             found = [seen for _, seen in done]
             print_json({"scripts": found} if found[1:] else found[0], indent=1)
@@ -50,50 +49,27 @@ def run(given: argparse.Namespace) -> int:
         return _run(given, rig, scripts)
 
 
-Word = Callable[[Sequence["bench.RunStatus"], str], None]
-
-
-@contextmanager
-def _followed(
-    given: argparse.Namespace, console: Terminal, rig: bench.LoadedRig
-) -> Iterator[tuple[Events, Callable[[str], None], Word]]:
-    """What shows a run's events on the terminal, in the file of events and to who gets word."""
-    with event_lines(given.events) as lines, TerminalProgress(console) as shown:
-        progress = Events(shown, lines)
-
-        def begun(text: str) -> None:
-            given.left = given.kept = REPORTING
-            shown.say(text)
-
-        with _words(given, rig, progress) as word:
-            yield progress, begun, word
-
-
 def _run(
     given: argparse.Namespace, rig: bench.LoadedRig, scripts: Sequence[bench.LoadedScript]
 ) -> int:
     console = Terminal()
-    with _followed(given, console, rig) as (progress, begun, word):
+    with TerminalProgress(console) as shown:
         reports = bench.run_queue(
             scripts,
             rig,
             out=given.out,
-            typed=typed_lines(by_person=rig.rig.by_person),
             seed=given.seed,
             detectors=given.detector or (),
             record=given.record,
             realtime=given.realtime or (given.console and rig.rig.simulated),
             speed=given.speed,
-            capture=given.capture,
-            progress=progress,
-            begun=begun,
+            **_shared(given, rig, shown),
         )
-        queued = ""
-        if len(scripts) > 1:
-            from bench.report.runs import queue_headline
+    queued = ""
+    if len(scripts) > 1:
+        from bench.report.runs import queue_headline
 
-            queued = f"Queue: {queue_headline(given.out, [one.folder.name for one in reports])}"
-        word([one.status for one in reports], queued)
+        queued = f"Queue: {queue_headline(given.out, [one.folder.name for one in reports])}"
     from bench.cli.verdict import open_report, show_verdict
 
     codes = []
@@ -124,25 +100,21 @@ def _summarize(given: argparse.Namespace, found: bench.Reported | str = "") -> N
         summary.append(given.summary, found if isinstance(found, str) else summary.of_run(found))
 
 
-@contextmanager
-def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> Iterator[Word]:
-    """Sends word of what happens; gives what sends the last one, of all runs as they ended, and
-    how their queue did, where they are one.
-    """
-    from bench.run.notify import notifying, text_of
+def _shared(
+    given: argparse.Namespace, rig: bench.LoadedRig, shown: TerminalProgress
+) -> dict[str, Any]:
+    """What `run` and `resume` say alike."""
 
-    with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:
+    def begun(text: str) -> None:
+        given.left = given.kept = REPORTING
+        shown.say(text)
 
-        def ended(runs: Sequence[bench.RunStatus], queued: str) -> None:
-            title, texts = f"Queue: {ENDED}", list[str]()
-            for status in runs:
-                own, text = text_of(ENDED, status) or ("", "")
-                title = title if queued else own
-                texts.append(f"{status.run}: {text}" if queued else text)
-            send(ENDED, lambda: (title, "\n\n".join(filter(None, [queued, *texts]))))
-
-        events.notify = lambda kind: send(kind, lambda: text_of(kind, events.status()))
-        yield ended
+    return {
+        "progress": shown,
+        "typed": typed_lines(by_person=rig.rig.by_person),
+        "begun": begun,
+        **{key: getattr(given, key) for key in ("capture", "events", "notify")},
+    }
 
 
 def resume(given: argparse.Namespace) -> int:
@@ -154,16 +126,9 @@ def resume(given: argparse.Namespace) -> int:
             print(f"{given.run}: every trial is done; the report was not written yet")
             return show_verdict(console, bench.write_report(given.run, damage=damage))
         rig = bench.rig_of_run(given.run)
-        with _followed(given, console, rig) as (progress, begun, word):
-            found = bench.resume_run(
-                given.run,
-                capture=given.capture,
-                progress=progress,
-                typed=typed_lines(by_person=rig.rig.by_person),
-                begun=begun,
-                damage=damage,
-            )
-            word([found.status], "")
+        with TerminalProgress(console) as shown:
+            how = _shared(given, rig, shown)
+            found = bench.resume_run(given.run, damage=damage, **how)
         _summarize(given, found)
         return show_verdict(console, found)
 

@@ -31,9 +31,11 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from bench.run.events import FAILURES
 from reports.sanitize import SanitizedStream, sanitized, unfiltered
 from textfiles.text import plural
+
+# rich ends the program where the reader of its output has gone (`| head`)
+FAILURES = (Exception, SystemExit)
 
 
 class _Count(MofNCompleteColumn):

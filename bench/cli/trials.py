@@ -59,7 +59,7 @@ def _pose_table(script: bench.LoadedScript, rows: Sequence[Mapping[str, float]])
     """A row a trial; columns that are 0 in all of them are left out, and named below."""
     from rich.table import Table
 
-    from instruments.world.situations import spoken
+    from instruments import spoken
 
     many = f"{plural(len(rows), 'trial')}, {plural(script.poses, 'pose')}"
     cells: dict[str, list[str]] = {

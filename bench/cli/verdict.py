@@ -17,9 +17,8 @@ from rich.text import Text
 
 from bench import Decision, Judgement, Reported, RunRecord, Verdict
 from bench.cli.arguments import CODES, code_of
-from bench.cli.terminal import Terminal, print_table, print_wrapped
+from bench.cli.terminal import FAILURES, Terminal, print_table, print_wrapped
 from bench.report.wording import limit, measured
-from bench.run.events import FAILURES
 from reports.page import SIGNS, UNFINISHED
 from textfiles.text import plural
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import beside, writing
+from bench.config import ConfigError, beside, read_text, writing
 from bench.record.schema import DATABASE
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
@@ -302,10 +302,13 @@ class RecordingWriter:
 @contextmanager
 def added_to(folder: Path | str, calibration: str | None) -> Iterator[RecordingWriter]:
     """A writer of the recording in ``folder``, with the text of its ``calibration``; nothing new
-    stays where not one frame can be written. Raises ConfigError, RecordingError.
+    stays where not one frame can be written. Raises RecordingError; ConfigError, also where the
+    folder has another calibration, which its frames or a rig file are of.
     """
     frames, there = Path(folder) / "frames", Path(folder) / "calibration.toml"
     is_new = not there.exists()
+    if calibration is not None and not is_new and read_text(there) != calibration:
+        raise ConfigError.plain(f"{there} has another calibration: name another folder.")
     with writing(Path(folder)), new_folders(frames):
         try:
             writer = RecordingWriter(folder)

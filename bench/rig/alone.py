@@ -22,7 +22,7 @@ from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import OneCamera, camera_url
 from bench.rig.model import Stage as StageTable
 from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
-from bench.rig.urls import ELSEWHERE, is_emulated
+from bench.rig.urls import ELSEWHERE, bath_url, is_emulated, stage_url
 from instruments.bath.driver import Bath
 from instruments.bath.profile import PUMP, Profile, load_profile, profile_names
 from instruments.camera.cameras import KNOWN
@@ -206,6 +206,7 @@ def open_stage(
     ``rig``; connected, in real time, stopped at the end. Raises ConfigError, InstrumentError.
     """
     if url:
+        _refuse_address("stage", url, stage_url)
         at = checked(StageTable, {"url": url, "axes": axes, "dialect": dialect})
     else:
         of = any_rig(rig)
@@ -220,6 +221,18 @@ def open_stage(
         stage.connect()
         with lent(stage, "stage") as given:
             yield given
+
+
+def _refuse_address(kind: str, url: str, check: Callable[[str], object]) -> None:
+    """Raises ConfigError where no device of its own can be at ``url``."""
+    try:
+        if is_emulated(url):
+            raise ValueError(
+                f"an emulated {kind} lives in the bench; 'teatbench emulate' serves one at a port"
+            )
+        check(url)
+    except ValueError as error:
+        raise ConfigError.plain(f"{url!r} is no {kind}: {error}") from error
 
 
 def bath_profile(name: str) -> Profile:
@@ -249,6 +262,7 @@ def open_bath(
     """The bath at ``url``, as in a rig file's [bath], in real time; made safe at the end where it
     was started, unless ``leave_running``. Raises ConfigError, InstrumentError.
     """
+    _refuse_address("bath", url, bath_url)
     of = bath_profile(profile) if isinstance(profile, str) else profile
     rig = rig_of(
         of, bath=BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)

@@ -16,20 +16,24 @@ a command of another, and what has answered is asked nothing else:
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 from serial.tools import list_ports
 
-from bench.rig.loading import MISSING
-from bench.rig.model import Arm
+from bench.config import ConfigError, did_you_mean, parse_config, read_text, write_file
+from bench.rig.loading import MISSING, PLACES, TO_COPY
+from bench.rig.model import Arm, Rig, camera_url
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
 from bench.rig.urls import bath_url, serial_url
 from bench.toml import value_text
 from instruments.bath.profile import load_profile, profile_names
-from instruments.clock import Clock, RealClock
+from instruments.clock import Clock, RealClock, wall_time
+from instruments.drivers.entry_points import PluginUrl
 from instruments.errors import InstrumentError, ProtocolError
 from instruments.link import Link
 from instruments.stage import marlin
@@ -52,6 +56,10 @@ class FoundInstrument:
     profiles: tuple[str, ...] = ()
     dialect: str = "grbl"
     devices: tuple[str, ...] = ()
+
+    def driver_url(self, **keys: str) -> str:
+        """Its url in a rig file: of a Zaber its plug-in's, with ``keys`` of that (docs/rig.md)."""
+        return PluginUrl("zaber", keys).at(self.url) if self.dialect == "zaber" else self.url
 
 
 def ports() -> Iterator[tuple[str, str]]:
@@ -189,27 +197,62 @@ def _bath(url: str, name: str, clock: Clock) -> str:
 _TABLE = re.compile(r"\[([\w.]+)\]")
 _KEY = re.compile(r"(\w+) = .*?(?:\s+# (.*))?")
 KEPT = ("cameras", "cameras.checks", "limits")  # all of their keys have defaults
+USUAL: Mapping[str, Mapping[str, object]] = {  # of what a rig file has to say
+    "": {"name": "my rig", "calibration": "calibration.toml"},
+    "operator": {"url": "console:"},
+}
 
 
-def rig_text(
-    example: str, values: Mapping[str, Mapping[str, object]], missing: Mapping[str, str], about: str
-) -> str:
-    """The ``example`` with ``values`` by table and key; other keys and tables stay as comments. A
-    table in ``missing`` has its url to be filled in.
+def write_rig(
+    out: Path | str, tables: Mapping[str, Mapping[str, Any]], about: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Write a rig file with these values by table ("bath"; "": what is above all tables) and key,
+    its other keys as comments with their meaning, ``about`` at its head. Gives the tables whose url
+    is marked, to be filled in: of arm, bath and the pair of cameras. Raises ConfigError.
     """
-    given = {name: dict(table) for name, table in values.items()}
-    for name, url in missing.items():
-        given.setdefault(name, {}).setdefault("url", url)
-    lines, table = [f"# {line}".rstrip() for line in about.splitlines()], ""
+    if not tables:
+        raise ConfigError.plain(f"`tables` is empty. To begin with an example, copy {TO_COPY}.")
+    usual = {**USUAL, **({} if "bath" in tables else {"bath": {"profile": "julabo-presto"}})}
+    given = {one: {**usual.get(one, {}), **tables.get(one, {})} for one in {**usual, **tables}}
+    for name, table in given.items():
+        if name.startswith("cameras.") and "url" in table:
+            try:
+                camera_url(str(table["url"]))
+            except ValueError as error:
+                raise ConfigError.plain(f"{name}.url: {table['url']}: {error}") from error
+    whole = "cameras" in given and given["cameras"].get("url")
+    missing = [name for name in PLACES if "url" not in given.get(name, {})]
+    missing = [name for name in missing if not (whole and name.startswith("cameras."))]
+    for name in missing:
+        given.setdefault(name, {})["url"] = PLACES[name]
+    head = (f"Written on {wall_time():%Y-%m-%d}.", *about, *(f"No url: {one}" for one in missing))
+    text = _rig_text(read_text(TO_COPY), given, missing, head)
+    parse_config(Path(out), text, Rig)
+    write_file(Path(out), text)
+    return tuple(missing)
+
+
+def _rig_text(
+    example: str,
+    given: Mapping[str, Mapping[str, object]],
+    missing: Collection[str],
+    head: Sequence[str],
+) -> str:
+    """The ``example`` with what is ``given``. Raises ConfigError for a key that it hasn't."""
+    lines, table = [f"# {line}".rstrip() for line in head], ""
+    unused = {(name, key): None for name, own in given.items() for key in own}
+    there = dict[str, None]()
     for line in example.splitlines():
         if line.startswith("#"):
             continue
-        if head := _TABLE.match(line):
-            table = head[1]
+        if head_line := _TABLE.match(line):
+            table = head_line[1]
         own = given.get(table, {})
         off = "" if own or table in KEPT else "# "
         if key := _KEY.fullmatch(line):
+            there[f"{table}.{key[1]}".lstrip(".")] = None
             if key[1] in own:
+                del unused[table, key[1]]
                 marked = key[1] == "url" and table in missing
                 said = ". ".join(filter(None, (MISSING if marked else "", key[2])))
                 line = f"{key[1]} = {value_text(own[key[1]])}".ljust(31)
@@ -217,4 +260,7 @@ def rig_text(
             else:
                 off = "# "
         lines.append(f"{off}{line}" if line else "")
+    for name, each in unused:
+        near = did_you_mean(f"{name}.{each}".lstrip("."), there)
+        raise ConfigError.plain(f"a rig file has no key {each!r} in {name or 'its top'!r}{near}")
     return "\n".join(lines) + "\n"

@@ -97,7 +97,7 @@ class RunStates:
         return self._away_s + (self._now_s() - self._since_s if self.current in AWAY else 0.0)
 
 
-# rich ends the program where the reader of its output has gone (`| head`)
+# a screen may end the program, as rich does where the reader of its output has gone
 FAILURES = (Exception, SystemExit)
 EVENTS_FILE = "events.jsonl"  # in the run's folder
 ERRORS = ("dropped out", "camera", "fault", "trip", "suspended")  # kinds of events
@@ -351,7 +351,7 @@ def event_lines(path: Path | None) -> Iterator[FileIO | None]:
                 _last_number(there)
         file = FileIO(path, "a")
     except OSError as error:
-        why = f"--events {path}: it can't be opened: {refusal(error, 'Name another file.')}"
+        why = f"{path}: it can't be opened for the events: {refusal(error, 'Name another file.')}"
         raise ConfigError.plain(why) from error
     try:
         yield file

@@ -238,7 +238,7 @@ def in_own_thread(work: Callable[[], T]) -> T:
 
     try:
         threading.Thread(target=run, name="the end of a run", daemon=True).start()
-    except RuntimeError:  # no more threads are to be had; what is raised here may break it off
+    except Exception:  # no more threads are to be had; what is raised here may break it off
         return work()
     while True:
         try:

@@ -27,6 +27,7 @@ from detector.calibration import Calibration
 from detector.external import ExternalDetector, ProcessLimits
 from detector.protocol import Detector, DetectorProcess, TrainedOn
 from instruments.clock import stopwatch_s
+from instruments.drivers.entry_points import undisturbed
 
 EXEC, FILE = "exec:", ".toml"
 DECLARED = Path("detectors")
@@ -164,7 +165,10 @@ def _make(name: str, folder: Path, gives_up: bool) -> Detector:
         except ValueError as error:
             raise ConfigError.plain(str(error)) from error
         known = name in registry.SHIPPED or name in registry.available()
-        return registry.create(name) if known else _of_file(DECLARED / f"{name}{FILE}", gives_up)
+        if not known:
+            return _of_file(DECLARED / f"{name}{FILE}", gives_up)
+        with undisturbed():  # another's modules are loaded
+            return registry.create(name)
     try:
         command = taken_apart(name.removeprefix(EXEC), windows=os.name == "nt")
     except ValueError as error:

@@ -83,10 +83,6 @@ def keep(folder: Path | str, into: Path | str, name: str | None = None) -> str:
     stated = read_text(rig.calibration_path)
     if shot.calibration is not rig.calibration:
         stated = dump_calibration(shot.calibration, "perturbed: not what the cameras are")
-    there = recording / "calibration.toml"
-    if there.exists() and read_text(there) != stated:
-        what = f"{recording} has another calibration than {path}"
-        raise ConfigError.plain(f"{what}: name another `into`")
     try:
         with added_to(recording, stated) as writer:
             writer.add(frame, shot.frames, shot.truth)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, get_type_hints
@@ -88,6 +88,10 @@ class _Differences:
         kept = {name: share * getattr(self, name) / one.size for name, one in self.STEPS.items()}
         return replace(self, **{name: self.STEPS[name].value(round(n)) for name, n in kept.items()})
 
+    def nearing(self, shares: Sequence[float]) -> Iterator[Self]:
+        """As it is, and nearer and nearer to plain."""
+        yield from (self.nearer(share) for share in shares)
+
     def one_step_away(self) -> Iterator[Self]:
         """Each number a step up and down, within what it may be."""
         for name, steps in self.STEPS.items():
@@ -108,6 +112,13 @@ class Teat(_Differences):
     lean_deg: float = 0
     lean_away_deg: float = 0
     cooler_k: float = 0
+
+    def nearing(self, shares: Sequence[float]) -> Iterator[Self]:
+        """First to its place, since most stand before another teat; then its shape as well."""
+        for share in shares:
+            near = self.nearer(share)
+            yield replace(self, right_mm=near.right_mm, away_mm=near.away_mm)
+        yield from (self.nearer(share) for share in shares)
 
     @wrong_use()
     def at(self, place_mm: tuple[float, float]) -> Standing:

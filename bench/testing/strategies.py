@@ -147,7 +147,7 @@ def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
 def nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
     """With ``part`` put as near to its plain place as it must be; without it if it can't stand."""
     put(part, found)  # refuses what another strategy draws
-    tried = (put(part.nearer(share), found) for share in SHARES)
+    tried = (put(near, found) for near in part.nearing(SHARES))
     return next((one for one in tried if not one.faults()), found)
 
 

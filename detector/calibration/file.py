@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from detector.calibration.gate import lens_faults, pair_faults
+from detector.calibration.gate import lens_faults
 from detector.calibration.homographies import DEFAULT_PLANE_DEPTH_MM, derive_homographies
 from detector.calibration.values import (
     POLARITIES,
@@ -311,13 +311,8 @@ def check_text(path: Path, text: str, *, whole: bool) -> None:
 def _whole(path: Path, document: Mapping[str, Any], *, doubtful: bool = False) -> Calibration:
     found = _checked(path, document, whole=True)
     part = _part(found)
-    pair = part.right_from_left
-    if (
-        pair
-        and not doubtful
-        and (wrong := [KeyFault(("stereo", "T"), f) for f in pair_faults(pair)])
-    ):
-        raise CalibrationError(path, wrong)
+    if not doubtful and part.pair_faults:
+        raise CalibrationError(path, [KeyFault(("stereo", "T"), f) for f in part.pair_faults])
     values: dict[str, Any] = {field.name: getattr(part, field.name) for field in fields(Part)}
     if part.homographies is None:
         cameras = values["thermal"].lens, values["left"], values["right"]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from detector.calibration.bundle import LENS, POSE
+from detector.calibration.gate import pair_faults
 from detector.geometry import Array, Camera, Motion, triangulate
 
 Polarity = Literal["hot_is_black", "hot_is_white"]
@@ -176,6 +177,11 @@ class Part:
     covariance: ParameterCovariance | None = None
     record: Record | None = None
     hanging: bool = False
+
+    @property
+    def pair_faults(self) -> tuple[str, ...]:
+        """Why no pair of cameras stands so, such as a distance in metres; () where one may."""
+        return tuple(pair_faults(self.right_from_left)) if self.right_from_left else ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -48,6 +48,11 @@ class RowAnswer:
     said: str
     sensible: bool = False
 
+    @property
+    def readable(self) -> bool:
+        """Whether it can be asked for: some rows are only written."""
+        return self.asked != NOT_READ
+
 
 class Access(ABC, Generic[R]):
     """The rows of one device over ``wire``, which is not opened yet; for one thread. ``known``:

@@ -4,7 +4,7 @@ moved meanwhile.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from instruments.errors import (
     TouchAgainError,
 )
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.driver import Reading
+from instruments.microscribe.driver import ArmView, Reading
 
 INTERVAL_S, STOP_S, TOUCH_S = 0.05, 5.0, 60.0
 FARTHEST_MM = 20_000.0  # no arm reaches as far: the unit is wrong
@@ -131,6 +131,13 @@ class PluggedArm(Plugged):
         """Where its tip is now, to show."""
         point = self._point()
         return Reading(np.asarray(point.tip_mm), 0.0, point.axis, 1)
+
+    def watch(self, every_s: float) -> Iterator[ArmView]:
+        """A view each ``every_s``, without an end. Raises LimitError before homing."""
+        while True:
+            tip_mm = self.read(1).tip_mm
+            yield ArmView(self._clock.now(), tip_mm, {}, 1.0 / every_s, 0)
+            self._clock.sleep(every_s)
 
     def buttons(self) -> int:
         """No pedals are known of it."""

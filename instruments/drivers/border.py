@@ -93,7 +93,7 @@ class PluginBoundary(Generic[Made]):
             thread = threading.Thread(None, self._run, by, (job, work), daemon=True)
             try:
                 thread.start()
-            except RuntimeError:  # no more threads are to be had: without a limit, yet done
+            except Exception:  # no more threads are to be had: without a limit, yet done
                 return work()
             self._wait_for(thread, what, limit_s)
             return job.result()

@@ -9,6 +9,8 @@ port of this machine. The driver gets the port as its key ``url``.
 from __future__ import annotations
 
 import builtins
+import json
+import logging
 import os
 import signal
 import sys
@@ -18,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from pathlib import Path
@@ -32,6 +35,7 @@ from textfiles.text import named
 
 PLUGIN, EMULATOR = "plugin:", "emulator:"
 SAID = 200  # characters of another's words
+LIMITS = ("AS", "DATA", "FSIZE", "NOFILE", "NPROC")  # bytes, files, threads
 ENDING = [one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")]
 Kind = Literal["arm", "bath", "camera", "stage"]
 KINDS: tuple[Kind, ...] = ("arm", "bath", "camera", "stage")
@@ -186,13 +190,48 @@ def by_ctrl_c(error: BaseException) -> bool:
     return isinstance(error, KeyboardInterrupt) and plain in (False, signal.default_int_handler)
 
 
+def _handle(handle: Callable[[Any], Any], record: logging.LogRecord) -> Any:
+    """What another's handler of logs makes of ``record``, whatever it raises."""
+    with suppress(Exception):
+        return handle(record)
+
+
+def _limits() -> dict[int, tuple[int, int]]:
+    """What the system lets this process have: a soft and a hard limit by its number for it."""
+    if sys.platform == "win32":
+        return {}
+    import resource
+
+    return {
+        one: resource.getrlimit(one)
+        for name in LIMITS
+        if (one := getattr(resource, f"RLIMIT_{name}", None)) is not None
+    }
+
+
+def _put_back(limits: Mapping[int, tuple[int, int]]) -> None:
+    """As before, where it was lowered."""
+    now = _limits()
+    if sys.platform == "win32" or now == limits:
+        return
+    import resource
+
+    for one, (soft, hard) in limits.items():
+        low, most = now[one]
+        if low != resource.RLIM_INFINITY and (low < soft or soft == resource.RLIM_INFINITY):
+            with suppress(OSError, ValueError):
+                resource.setrlimit(one, (soft if most == hard else most, most))
+
+
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Some libraries change what the whole process has: the working folder, by which files of a run
-    are named, who may read new files, what Ctrl-C does, where modules are found, what `open` and
-    `time.sleep` are, what is an error to NumPy, and the stack that a thread gets and what it does
-    with its errors, without which none starts. A copy of the process that one forks ends where it
-    would come back.
+    are named, who may read new files, what Ctrl-C does, where modules are found, what `open`,
+    `time.sleep` and `json.dumps` are, what is an error to NumPy, how much memory and how many files
+    there may be, how deep calls go, what traces new threads, and the stack that a thread gets and
+    what it does with its errors, without which none starts. A handler that one gives the root
+    logger, which every library's words go to, raises nothing in the bench. A copy of the process
+    that one forks ends where it would come back.
     """
     given: Any = threading.excepthook, sys.excepthook  # None, by a thread of a driver's
     hooks = given[0] or threading.__excepthook__, given[1] or sys.__excepthook__
@@ -202,8 +241,10 @@ def undisturbed() -> Iterator[None]:
     threading.stack_size(stack)  # to ask for it sets it
     calls = [
         (vars(module), {name: one for name, one in vars(module).items() if callable(one)})
-        for module in (builtins, time)
+        for module in (builtins, time, json, logging)
     ]
+    logs, limits, depth = [*logging.root.handlers], _limits(), sys.getrecursionlimit()
+    traced, profiled = threading.gettrace(), threading.getprofile()
     with suppress(OSError):  # it may be gone
         folder = Path.cwd()
     handlers = {one: signal.getsignal(one) for one in ENDING}
@@ -220,6 +261,13 @@ def undisturbed() -> Iterator[None]:
         threading.excepthook, sys.excepthook = hooks
         for now, before in calls:
             now.update(before)
+        for log in logging.root.handlers:
+            if log not in logs:
+                log.handle = partial(_handle, log.handle)  # type: ignore[method-assign]
+        _put_back(limits)
+        threading.settrace(traced)
+        threading.setprofile(profiled)
+        sys.setrecursionlimit(max(depth, sys.getrecursionlimit()))
         with suppress(OSError):
             os.chdir(folder)
         sys.path.extend(one for one in path if one not in sys.path)

@@ -6,7 +6,7 @@ may be called at any time, twice, and after a fault; `close` twice.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from instruments.bath.interface import Bath
 from instruments.camera.frame import FrameSet
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.driver import Reading
+from instruments.microscribe.driver import ArmView, Reading
 from instruments.operators.operator import Operator
 from instruments.stage.calls import StageCalls as Stage
 
@@ -60,6 +60,7 @@ class Arm(Protocol):
     def home(self) -> None: ...
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading: ...
     def glance(self) -> Reading | None: ...
+    def watch(self, every_s: float) -> Iterator[ArmView]: ...
     def buttons(self) -> int: ...
     def touch(self, point_mm: Floats, axis: Floats) -> None: ...
     def safe(self) -> None: ...

@@ -12,7 +12,7 @@ behind C5, since its letters are commands in a session that was left open; BEGIN
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from functools import partial
 from typing import ClassVar, TypeVar
@@ -36,6 +36,7 @@ from instruments.microscribe.errors import (
     SilentArmError,
     UnusableArmError,
 )
+from instruments.microscribe.pedals import Pedal
 from instruments.microscribe.protocol import (
     ArmTime,
     Code,
@@ -106,6 +107,19 @@ class Reading:
     def evidence(self) -> str | list[int]:
         """What the record keeps of it: the counts, or what was written."""
         return self.written or [int(count) for count in self.counts]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmView:
+    """What a watched arm shows: the tip (3,) in the arm's frame, which pedals are down, packets a
+    second, and how many were damaged so far. ``t_s`` is by the arm's clock.
+    """
+
+    t_s: float
+    tip_mm: npt.NDArray[np.float64]
+    pedals: Mapping[str, bool]
+    packets_per_s: float
+    damaged: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -593,6 +607,21 @@ class MicroScribe:
             yield self._samples()
         finally:
             self._stop_stream()
+
+    def watch(self, every_s: float) -> Iterator[ArmView]:
+        """A view each ``every_s`` as it streams, without an end. Raises as ``stream``."""
+        with self.stream() as stream:
+            samples: list[Sample] = []
+            for sample in stream:
+                samples.append(sample)
+                if (span_s := sample.t_s - samples[0].t_s) < every_s:
+                    continue
+                pedals = {
+                    one.name.lower(): bool(sample.buttons & one.value) for one in reversed(Pedal)
+                }
+                tip_mm, rate = self.position(samples).tip_mm, (len(samples) - 1) / span_s
+                yield ArmView(sample.t_s, tip_mm, pedals, rate, self.damaged)
+                samples = []
 
     def _start_stream(self) -> None:
         """Start the fastest stream with time stamps. Raises as ``poll``."""

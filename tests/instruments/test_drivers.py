@@ -12,6 +12,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -446,3 +447,6 @@ def test_a_tips_numbers_are_taken_as_any_others(tip_mm: Any) -> None:
     arm.sign_on()
     arm.confirm_homed()
     assert arm.read().tip_mm.tolist() == [1.5, 2.0, 3.0]
+    first, second = islice(arm.watch(0.2), 2)
+    assert first.tip_mm.tolist() == [1.5, 2.0, 3.0]
+    assert second.t_s - first.t_s >= 0.2

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import builtins
 import itertools
+import json
+import logging
 import os
 import signal
 import subprocess
@@ -44,6 +46,9 @@ from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError
 from tests.conftest import ROOT
 from tests.waiting import PATIENCE_S
+
+if sys.platform != "win32":
+    import resource
 
 
 class OwnError(BaseException):
@@ -202,10 +207,13 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
     """In virtual time, where the bench handles signals; its words are cut, and can be printed."""
     made, here, path = driver("bath", "read()", None), Path.cwd(), [*dict.fromkeys(sys.path)]
     monkeypatch.setattr(sys, "path", [*path])
-    mask = os.umask(0o027)
+    mask, level = os.umask(0o027), logging.root.level
 
     def fails(*_: object) -> None:
         raise RuntimeError("not here")
+
+    log = logging.Handler()
+    monkeypatch.setattr(log, "emit", fails)
 
     def odd(_: object) -> None:
         os.chdir(tmp_path)
@@ -216,7 +224,15 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         sys.path.clear()
         sys.meta_path.clear()
         threading.stack_size(HUGE_STACK)
-        builtins.open = time.sleep = fails  # type: ignore[assignment]
+        builtins.open = time.sleep = json.dumps = fails  # type: ignore[assignment]
+        threading.settrace(fails)
+        sys.setrecursionlimit(200)
+        logging.root.addHandler(log)
+        logging.root.setLevel(logging.DEBUG)
+        if sys.platform != "win32":
+            resource.setrlimit(
+                resource.RLIMIT_AS, (1 << 40, resource.getrlimit(resource.RLIMIT_AS)[1])
+            )
         raise KeyboardInterrupt("\x1b[31m" + "x" * 999)
 
     made.read = odd  # type: ignore[attr-defined]
@@ -226,6 +242,11 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         with pytest.raises(InstrumentError, match=said):
             PluggedBath(Plugin("d", "pkg 1", made), VirtualClock()).read()
         assert _of_the_process() == before
+        try:
+            logging.getLogger("of another library").debug("a word")
+        finally:
+            logging.root.removeHandler(log)
+            logging.root.setLevel(level)
     assert Path.cwd() == here
     assert sys.path == path
     assert os.umask(mask) == 0o027
@@ -235,7 +256,11 @@ def _of_the_process() -> tuple[object, ...]:
     stack = threading.stack_size(0)
     threading.stack_size(stack)
     handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-    return *handlers, np.geterr(), stack, open, time.sleep, [*sys.meta_path]
+    limit: object = None
+    if sys.platform != "win32":
+        limit = resource.getrlimit(resource.RLIMIT_AS)
+    calls = open, time.sleep, json.dumps, threading.gettrace(), sys.getrecursionlimit()
+    return *handlers, np.geterr(), stack, *calls, [*sys.meta_path], limit
 
 
 FORKS = """

@@ -58,9 +58,13 @@ class Heater:
     def close(self) -> None: ...
 
 
-@pytest.mark.parametrize("stack", [0, 1 << 40], ids=["refused", "of a stack that is too large"])
+@pytest.mark.parametrize(
+    ("stack", "start", "why"),
+    [(0, refused, RuntimeError), (0, None, TypeError), (1 << 40, None, RuntimeError)],
+    ids=["refused", "another's", "of a stack that is too large"],
+)
 def test_a_bath_is_made_safe_where_no_thread_starts(
-    monkeypatch: pytest.MonkeyPatch, stack: int
+    monkeypatch: pytest.MonkeyPatch, stack: int, start: object, why: type[Exception]
 ) -> None:
     """By calls in real time, and by the end of a run in whose thread another raises."""
     monkeypatch.setattr(Heater, "running", True)
@@ -68,9 +72,9 @@ def test_a_bath_is_made_safe_where_no_thread_starts(
         bath = PluggedBath(Plugin("heater", "here", Heater), clock)
         before = threading.stack_size(stack)
         if not stack:
-            patch.setattr(threading.Thread, "start", refused)
+            patch.setattr(threading.Thread, "start", start)
         try:
-            with pytest.raises(RuntimeError, match="can't start"):
+            with pytest.raises(why):
                 threading.Thread(target=bath.read).start()
             bath.safe()
             assert in_own_thread(lambda: Heater.running) is False

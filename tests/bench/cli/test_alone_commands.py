@@ -197,6 +197,13 @@ def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, said: Said) -> Non
     assert first.thermal_ck is not None
     assert not np.array_equal(first.left, second.left)
     assert "0002" in said(0, "detect {}", folder).out
+    kept = recording.calibration_path.read_bytes()  # what its frames are of
+    assert "has another calibration" in said(2, "scene record --out {} --seeds 1", folder).err
+    assert (
+        "has another calibration"
+        in said(2, "scene boards chessboard-9x6-40 --poses 1 --out {}", folder).err
+    )
+    assert recording.calibration_path.read_bytes() == kept
 
 
 @pytest.mark.slow

@@ -98,7 +98,9 @@ INTERRUPTED = "teatbench: interrupted: nothing was begun.\n"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-@pytest.mark.parametrize(("when", "code", "text"), [("import", 3, INTERRUPTED), ("exit", 2, "")])
+@pytest.mark.parametrize(
+    ("when", "code", "text"), [("import", 3, INTERRUPTED), ("exit", 2, ""), ("_exit", 2, "")]
+)
 def test_ctrl_c_while_a_command_loads_or_after_it_ended(when: str, code: int, text: str) -> None:
     program = """
 import atexit, os, signal, sys
@@ -110,8 +112,10 @@ class Loading:
             interrupt()
 if sys.argv[1] == "import":
     sys.meta_path.insert(0, Loading())
-else:
+elif sys.argv[1] == "exit":
     atexit.register(interrupt)
+else:
+    atexit.register(lambda: os._exit(0))  # as some libraries of devices do
 sys.argv[1:] = ["help", "no-such-page"]
 sys.exit(main())
 """

@@ -31,6 +31,7 @@ from bench.scoring.scene import score_scene
 from instruments.clock import wall_time
 from tests.bench.commands import Said, teatbench
 from tests.bench.record.test_record import facts, trial
+from tests.instruments.bath.peers import foreign
 
 RADIOMETRIC = np.arange(29_300, 29_312, dtype=np.uint16).reshape(3, 4)
 SCORE = score_scene(
@@ -86,7 +87,7 @@ def test_csv_has_every_table_and_empty_fields_for_what_was_not_measured(
 
 @pytest.mark.slow
 def test_parquet_keeps_types_and_nulls_and_names_its_run(run: RunRecord, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'export' is not installed")
+    parquet = foreign("pyarrow.parquet", "pyarrow")
     out = exported(run, "parquet", tmp_path)
     touches = parquet.read_table(out / "touches.parquet")
     types = {"trial": "string", "t_s": "double", "packets": "int64"}

@@ -6,6 +6,7 @@ import asyncio
 import builtins
 import json
 import os
+import signal
 import sys
 import threading
 import time
@@ -18,6 +19,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+import bench
 from bench.config import read_calibration
 from bench.record.reader import TrialRecord
 from bench.record.recording import TruthRow
@@ -312,6 +314,37 @@ def test_a_detector_changes_nothing_of_the_benchs_process(
     worker = threading.Thread(target=lambda: None)
     worker.start()
     worker.join()
+
+
+@pytest.mark.parametrize("load", [bench.detectors, lambda: bench.open_detector("odd").__enter__()])
+def test_a_detector_that_is_loaded_changes_nothing_of_the_benchs_process(
+    load: Callable[[], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "odd_detector-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: odd\nVersion: 1.0\n", encoding="utf-8")
+    points = "[teatbench.detectors]\nodd = odd_detector:Odd\n"
+    (info / "entry_points.txt").write_text(points, encoding="utf-8")
+    (tmp_path / "odd_detector.py").write_text(ODD, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "odd_detector", raising=False)
+    before = Path.cwd(), json.dumps, time.sleep, signal.getsignal(signal.SIGTERM)
+    load()
+    assert "odd_detector" in sys.modules
+    assert (Path.cwd(), json.dumps, time.sleep, signal.getsignal(signal.SIGTERM)) == before
+
+
+ODD = """
+import json, os, signal, time
+
+os.chdir("/")
+json.dumps = time.sleep = None
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
+class Odd:
+    def detect(self, frames, calibration): ...
+"""
 
 
 def test_no_detector_can_change_the_calibration_under_the_others() -> None:

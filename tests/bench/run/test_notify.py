@@ -16,11 +16,12 @@ from typing import Any
 
 import pytest
 
+import bench
 from bench.cli.main import main
 from bench.record.reader import read_run
 from bench.record.state import State
 from bench.results.status import InstrumentStatus, Link, OpenPrompt, RunStatus, Safe
-from bench.run.events import ENDED, NOT_SAFE, PROMPTED, TRIPPED
+from bench.run.events import ENDED, NOT_SAFE, PROMPTED, TRIPPED, read_events
 from bench.run.notify import Notifier, notifying, text_of, without_secrets
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.small_run import SCRIPT
@@ -199,6 +200,25 @@ def test_a_run_says_how_it_ended_whatever_an_address_does(
     (folder,) = out.glob("*/run.sqlite")
     assert read_run(folder.parent).ending == "finished"
     assert url not in (folder.parent / "rig.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_run_of_a_program_sends_word_and_writes_events_as_a_command_s(tmp_path: Path) -> None:
+    """To whom its rig file names."""
+    (tmp_path / "a.toml").write_text(SCRIPT.replace("fused", "thesis"), encoding="utf-8")
+    rig, lines = write_small_rig(tmp_path), tmp_path / "events"
+    with phone() as (url, came):
+        table = f'\n[notify]\nurls = ["{url}"]\n'
+        rig.write_text(rig.read_text(encoding="utf-8") + table, encoding="utf-8")
+        found = bench.run_script(tmp_path / "a.toml", rig, out=tmp_path / "runs", events=lines)
+        (ended,) = came.queue
+    assert ended["title"] == "Short: ended"
+    written = list(read_events(found.folder))
+    own = [json.loads(line) for line in lines.read_bytes().splitlines()]
+    assert [one for one in own if one["what"] == "trial"] == [
+        one for one in written if one["what"] == "trial"
+    ]
+    assert own[-1]["text"] == "writing the report"
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ emulators at.
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import select
 import shutil
@@ -12,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 
@@ -43,7 +44,14 @@ def absent(reason: str) -> NoReturn:
     """Skip the test; fail it where TEATBENCH_NEED_PEERS says that nothing may be absent."""
     if os.environ.get("TEATBENCH_NEED_PEERS"):
         pytest.fail(reason)
-    pytest.skip(reason)
+    pytest.skip(reason, allow_module_level=True)
+
+
+def foreign(module: str, package: str) -> Any:
+    """The module of a program of others; `absent` where it is not installed."""
+    if importlib.util.find_spec(module.partition(".")[0]) is None:
+        absent(f"needs {package}: pip install {package}")
+    return importlib.import_module(module)
 
 
 def program(name: str) -> str:

@@ -28,19 +28,12 @@ from instruments.errors import DeviceError
 from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import calm_plant, load_register_profile
-from tests.instruments.bath.peers import absent, real_time
+from tests.instruments.bath.peers import foreign, real_time
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
 WSAEINVAL = 10022  # winsock2.h
-
-
-def foreign(module: str, package: str) -> Any:
-    """The module of a program of others; `absent` where it is not installed."""
-    if importlib.util.find_spec(module.partition(".")[0]) is None:
-        absent(f"needs {package}: pip install {package}")
-    return importlib.import_module(module)
 
 
 @contextmanager

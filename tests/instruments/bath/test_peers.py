@@ -8,7 +8,6 @@ and minimalmodbus are typed from the fact sheet, section 1, and not taken from t
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import random
 import re
@@ -37,8 +36,8 @@ from tests.instruments.bath.devices import REGISTER_FAMILIES, load_register_prof
 from tests.instruments.bath.peers import (
     Bridge,
     Device,
-    absent,
     built,
+    foreign,
     memory_profile,
     program,
     real_time,
@@ -308,9 +307,7 @@ class Instrument:
 
 @contextmanager
 def instrument(profile: str) -> Iterator[Instrument]:
-    if importlib.util.find_spec("minimalmodbus") is None:
-        absent("needs minimalmodbus: pip install minimalmodbus")
-    library: Any = importlib.import_module("minimalmodbus")
+    library = foreign("minimalmodbus", "minimalmodbus")
     with real_time(load_register_profile(profile), "pty") as (emulator, listener):
         client = library.Instrument(listener.url, 1)
         client.serial.baudrate = 19200

@@ -21,7 +21,7 @@ from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.unit import ArmIdentity
-from tests.instruments.bath.peers import absent
+from tests.instruments.bath.peers import foreign
 from tests.instruments.microscribe.rigs import POINT, UNIT, Hand, renamed
 from tests.waiting import PATIENCE_S
 
@@ -31,9 +31,7 @@ RESOLUTION_MM = 0.3  # a step of each encoder, added up over the arm's reach
 @pytest.fixture
 def microcmm(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Its package asks for Python 3.12 and runs on 3.11. It waits as long as a busy machine needs."""
-    if importlib.util.find_spec("microcmm") is None:
-        absent("needs microcmm: pip install --ignore-requires-python microcmm")
-    program = importlib.import_module("microcmm")
+    program = foreign("microcmm", "--ignore-requires-python microcmm")
     patient = SimpleNamespace(monotonic=lambda: time.monotonic() / 30.0, sleep=time.sleep)
     monkeypatch.setattr(importlib.import_module("microcmm.hci"), "time", patient)
     return program

@@ -33,6 +33,7 @@ from instruments.stage.emulator.board import StageEmulator
 from instruments.stage.emulator.store import EMULATED, GRBL_HAL, MARLIN, ZABER, Dialect
 from instruments.stage.protocol import Alarm, MalformedLine, Status
 from tests.examples import examples
+from tests.instruments.bath.peers import foreign
 from tests.instruments.stage.board import Board
 from tests.waiting import PATIENCE_S
 
@@ -292,7 +293,7 @@ with Connection.open_tcp("127.0.0.1", int(sys.argv[1])) as connection:
 @pytest.mark.slow
 def test_the_makers_library_drives_the_emulated_zaber() -> None:
     """In real time: it has time-outs of its own, and knows no other clock."""
-    pytest.importorskip("zaber_motion", reason="the maker's library is not installed")
+    foreign("zaber_motion", "zaber-motion")
     with closing(RealClock()) as clock:
         emulator = StageEmulator(clock, settings=QUICK, dialect=ZABER)
         with closing(Listener(emulator, clock, lock=threading.RLock(), name="stage")) as listener:

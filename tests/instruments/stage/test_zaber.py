@@ -24,9 +24,10 @@ from instruments.listener import Listener
 from instruments.stage.emulator import zaber as emulated
 from instruments.stage.emulator.board import StageEmulator, StageFault
 from instruments.stage.emulator.store import ZABER
+from tests.instruments.bath.peers import foreign
 
-pytest.importorskip("zaber_motion", reason="the maker's library is not installed")
-from instruments.drivers import zaber
+foreign("zaber_motion", "zaber-motion")
+from instruments.drivers import zaber  # noqa: E402 - which imports it
 
 pytestmark = pytest.mark.slow
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from instruments.world.sensor import NORMAL_EXPOSURE_S, Exposure, OpticalReadout, OpticalSensor
+from tests.instruments.bath.peers import foreign
 
 SHAPE = (300, 400)
 LEVELS = np.linspace(0.0, 1.1, 23)  # of what fills a pixel
@@ -52,7 +53,7 @@ class Bench:
 
 def measured(sensor: OpticalSensor, folder: Path, exposure: Exposure | None = None) -> Any:
     """The referee's results on a sensor's flat fields."""
-    pytest.importorskip("emva1288", reason="the referee emva1288 is not installed")
+    foreign("emva1288", "emva1288")
     load, data, results = (
         import_module(f"emva1288.process.{name}") for name in ("loader", "data", "results")
     )
