@@ -318,9 +318,9 @@ class Stage(StageCalls):
         return self._check_idle("not idle after the move", "Was the stage held at its own panel?")
 
     def _meet(self) -> None:
-        """Connect where nobody has yet, as where an interlock trips before the run comes to it."""
+        """Where nobody has connected yet, as where an interlock trips before the run does."""
         if self._identified is None:
-            self.connect()
+            self._dialogue.meet(self.axes)
 
     def _until_still(self) -> Status:
         """The first report of a stage that brakes and stands. Raises DeviceError if it doesn't."""

@@ -203,6 +203,10 @@ class MarlinDialogue(Dialogue):
         self._counts()
         return StageIdentity("Marlin", named[1], named[2].strip(" ()"), ""), settings
 
+    def meet(self, axes: str) -> None:
+        """The steps, without which no place is known, and that a beat is ours."""
+        self.identify(axes)
+
     def _told(self, line: str) -> list[str]:
         return [said.text for said in self.command(line) if isinstance(said, Message)] or [""]
 

@@ -70,8 +70,10 @@ def test_a_stage_that_nobody_has_met_yet_stands(each: Bench) -> None:
 
 def test_a_stage_that_nobody_has_met_yet_is_stopped(each: Bench) -> None:
     """As at the end of a run that came no further."""
+    each.clock.sleep(1.0)
     each.stage.safe()
     assert each.stage.stands() is not None
+    each.stage.connect()
     each.stage.home()
 
 
