@@ -74,7 +74,7 @@ AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "no
 # would never be given back (python/cpython#148874)
 ENTERS = dis.opmap.get("LOAD_SPECIAL")
 CODE_UNIT_BYTES = 2
-MOMENT_S = 0.005
+MOMENT_S = 0.001
 LOOK_S = 0.1
 CLOSE_S = 4.5  # Windows ends a program 5 s after its console was closed, whatever it does
 
@@ -149,18 +149,9 @@ class Exits:
         return True
 
 
-_sent_again_s: dict[int, float] = {}  # when, by signal
-
-
 @unbroken  # it may come back before this has returned, into what was interrupted
 def _send_again(number: int) -> None:
-    """The signal comes once more, in a moment; also out of a call that waits. What comes before
-    that is the same request: of a storm each would start a thread, amid the one before.
-    """
-    now = stopwatch_s()
-    if 0.0 <= now - _sent_again_s.get(number, -MOMENT_S) < 0.5 * MOMENT_S:
-        return
-    _sent_again_s[number] = now
+    """The signal comes once more, in a moment; also out of a call that waits."""
     if sys.platform == "win32":
         later = threading.Timer(MOMENT_S, _thread.interrupt_main, (number,))
     else:

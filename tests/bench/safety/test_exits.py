@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -39,7 +38,7 @@ from bench.safety.signals import (
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.bath.sequence import heater_off
-from instruments.clock import VirtualClock, unbroken
+from instruments.clock import VirtualClock
 from instruments.listener import Connection
 from tests.bench.safety.guards import HotBath
 from tests.conftest import ROOT
@@ -274,33 +273,6 @@ def test_a_lock_that_a_block_has_entered_is_given_back(monkeypatch: pytest.Monke
             raised += 1
             assert not lock.locked()
     assert raised == STORMS
-
-
-@pytest.mark.slow
-@posix
-def test_of_a_storm_amid_what_is_unbroken_one_request_comes_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Each started a thread, amid the one before: a busy machine came to nothing else."""
-    monkeypatch.setattr("bench.safety.signals.MOMENT_S", 3.0)
-    timer, made = threading.Timer, list[threading.Timer]()
-
-    def counted(*given: Any) -> threading.Timer:
-        made.append(timer(*given))
-        return made[-1]
-
-    monkeypatch.setattr(threading, "Timer", counted)
-
-    @unbroken
-    def busy() -> None:
-        for _ in range(20):
-            os.kill(os.getpid(), signal.SIGINT)
-
-    with installed():
-        busy()
-        with pytest.raises(Interrupted):
-            time.sleep(PATIENCE_S)
-    assert len(made) == 1
 
 
 GRANTED_S = 5.0  # Windows ends the program so long after it has called the handler
