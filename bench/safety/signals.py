@@ -174,27 +174,36 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
         return
     received = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, exits) for number in received}
-    hook = sys.unraisablehook
-
-    @unbroken
-    def show_dropped(dropped: Any) -> None:
-        if not exits.take_dropped(dropped):
-            hook(dropped)
-
-    sys.unraisablehook = show_dropped
     register, handler = register or windows_register(), exits.console_event
     try:
         if register:
             register(handler, True)
         try:
-            yield exits
+            with _seeing_dropped(exits.take_dropped):
+                yield exits
         finally:
             if register:
                 register(handler, False)
     finally:
-        sys.unraisablehook = hook
         for number, old in before.items():
             signal.signal(number, old)
+
+
+@contextmanager
+def _seeing_dropped(take: Callable[[Any], bool]) -> Iterator[None]:
+    """``take`` gets what Python drops meanwhile, and says whether it was a request to end."""
+    hook = sys.unraisablehook
+
+    @unbroken
+    def show_dropped(dropped: Any) -> None:
+        if not take(dropped):
+            hook(dropped)
+
+    sys.unraisablehook = show_dropped
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
 
 
 def current() -> Exits:
@@ -258,8 +267,8 @@ def in_own_thread(work: Callable[[], T]) -> T:
 
 @contextmanager
 def no_lock_is_kept() -> Iterator[None]:
-    """While this lasts, Python's own Ctrl-C waits for a lock that is being taken or given back:
-    for a program that uses the API, and handles no signals.
+    """While this lasts, Python's own Ctrl-C waits for a lock that is being taken or given back, and
+    comes again where Python drops it: for a program that uses the API, and handles no signals.
     """
     own = threading.current_thread() is threading.main_thread()
     if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -267,7 +276,8 @@ def no_lock_is_kept() -> Iterator[None]:
         return
     signal.signal(signal.SIGINT, _raise_ctrl_c)
     try:
-        yield
+        with _seeing_dropped(_take_ctrl_c):
+            yield
     finally:
         own = threading.current_thread() is threading.main_thread()
         if own and signal.getsignal(signal.SIGINT) is _raise_ctrl_c:
@@ -279,6 +289,12 @@ def _raise_ctrl_c(number: int, frame: FrameType | None) -> None:
         _send_again(number)
     else:
         signal.default_int_handler(number, frame)
+
+
+def _take_ctrl_c(dropped: Any) -> bool:
+    if taken := isinstance(dropped.exc_value, KeyboardInterrupt):
+        _send_again(signal.SIGINT)
+    return taken
 
 
 def _must_go_on(frame: FrameType | None) -> bool:

@@ -10,13 +10,16 @@ from types import FrameType
 
 import pytest
 
+AGAIN_S = 20.0
+
 
 @contextmanager
 def interrupts() -> Iterator[Callable[[float], None]]:
     """Yields a function that brings Ctrl-C to its handler in the main thread, once, in so many
     seconds.
 
-    Call it where the interrupt is waited for: on a busy machine it may come at once. The timer of
+    Call it where the interrupt is waited for: on a busy machine it may come at once. One that got
+    lost comes once more after `AGAIN_S`, since who waits for it has no other end. The timer of
     pytest-timeout, which is the same one, goes on afterwards.
     """
     if not hasattr(signal, "setitimer"):
@@ -28,7 +31,7 @@ def interrupts() -> Iterator[Callable[[float], None]]:
         handler(signal.SIGINT, frame)
 
     def interrupt_in(seconds: float) -> None:
-        signal.setitimer(signal.ITIMER_REAL, seconds)
+        signal.setitimer(signal.ITIMER_REAL, seconds, AGAIN_S)
 
     left_s, _ = signal.setitimer(signal.ITIMER_REAL, 0.0)
     began = time.monotonic()

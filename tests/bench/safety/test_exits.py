@@ -32,6 +32,7 @@ from bench.safety.signals import (
     Interrupted,
     current,
     installed,
+    no_lock_is_kept,
     undisturbed,
     windows_register,
 )
@@ -113,6 +114,13 @@ def test_a_request_that_python_drops_in_a_callback_comes_again() -> None:
         with pytest.raises(Interrupted, match=r"Ctrl-C"):
             wait_after(kept.clear)
         assert exits.asked == ["SIGINT"]
+
+
+@posix
+def test_so_does_ctrl_c_of_a_program_that_handles_no_signals() -> None:
+    kept = [Dropped()]
+    with no_lock_is_kept(), pytest.raises(KeyboardInterrupt):
+        wait_after(kept.clear)
 
 
 @posix
