@@ -201,7 +201,7 @@ class PointArm:
 
     def watch(self, every_s: float) -> Iterator[ArmView]:
         """Raises LimitError: a point is there once it is touched."""
-        what = "only an arm with a driver can be watched: the software of another arm does that"
+        what = "it can't be watched: the software of another arm does that"
         raise LimitError(self.who, what, asked=f"watch every {every_s:g} s")
 
     def buttons(self) -> int:
