@@ -202,7 +202,7 @@ class Dialogue:
         values = {said.number: said.value for said in pushed if isinstance(said, Setting)}
         return identity, read_settings(values, who=self.who, axes=axes)
 
-    def meet(self, axes: str) -> None:
+    def identify_first(self, axes: str) -> None:
         """What has to be known before a report is asked for: nothing. Raises as `identify`."""
 
     # What the driver wants done, in this firmware's lines
@@ -351,9 +351,9 @@ class Dialogue:
             self.alarm = answer.code
             raise self._alarmed(asked=self.outstanding)
         elif isinstance(answer, Welcome):
-            met, self.outstanding = self.upsets > 0, None  # else it is that of the opened port
+            started, self.outstanding = self.upsets > 0, None  # else it is of the opened port
             self.upsets += 1
-            if met and self.alarm is None:  # a failed homing ends in a restart
+            if started and self.alarm is None:  # a failed homing ends in a restart
                 what = "the controller has restarted by itself: position lost"
                 raise DeviceError(self.who, what, hint=f"Check its power. {HOME_AGAIN}")
         elif isinstance(answer, Status):

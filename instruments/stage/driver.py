@@ -209,7 +209,7 @@ class Stage(StageCalls):
             self._dialogue.abort()
             return
         try:
-            self._meet()
+            self._identify_first()
             if (move := self._under_way) and not move.jog and self._dialogue.brakes_freely:
                 self._dialogue.brake()
             self.cancel_jog()
@@ -317,14 +317,14 @@ class Stage(StageCalls):
         self._dialogue.finish(max(ANSWER_S, move.deadline_s - self._clock.now()))
         return self._check_idle("not idle after the move", "Was the stage held at its own panel?")
 
-    def _meet(self) -> None:
+    def _identify_first(self) -> None:
         """Where nobody has connected yet, as where an interlock trips before the run does."""
         if self._identified is None:
-            self._dialogue.meet(self.axes)
+            self._dialogue.identify_first(self.axes)
 
     def _until_still(self) -> Status:
         """The first report of a stage that brakes and stands. Raises DeviceError if it doesn't."""
-        self._meet()
+        self._identify_first()
         deadline = self._clock.now() + STOP_S
         while not {(status := self._dialogue.status()).state, status.name} & STILL:
             if self._clock.now() > deadline:

@@ -203,7 +203,7 @@ class MarlinDialogue(Dialogue):
         self._counts()
         return StageIdentity("Marlin", named[1], named[2].strip(" ()"), ""), settings
 
-    def meet(self, axes: str) -> None:
+    def identify_first(self, axes: str) -> None:
         """The steps, without which no place is known, and that a beat is ours."""
         self.identify(axes)
 

@@ -57,7 +57,7 @@ def test_each_stage_refuses_what_is_beyond_and_marlin_alone_is_lost_by_a_stop(ea
     assert stage.homed == ("its position lost if it moved" not in stage.safe_state)
 
 
-def test_a_stage_that_nobody_has_met_yet_stands(each: Bench) -> None:
+def test_a_stage_that_is_not_identified_yet_stands(each: Bench) -> None:
     """An interlock may trip before the run comes to the stage, whose port is open: what its board
     says as it starts is no restart by itself, and no reason to halt it.
     """
@@ -68,7 +68,7 @@ def test_a_stage_that_nobody_has_met_yet_stands(each: Bench) -> None:
     each.stage.home()
 
 
-def test_a_stage_that_nobody_has_met_yet_is_stopped(each: Bench) -> None:
+def test_a_stage_that_is_not_identified_yet_is_stopped(each: Bench) -> None:
     """As at the end of a run that came no further."""
     each.clock.sleep(1.0)
     each.stage.safe()
