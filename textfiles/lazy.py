@@ -46,7 +46,7 @@ def lazily(package: str, guard: str = "") -> "tuple[Callable[[str], Any], Callab
 
 def _refuse_hidden(error: ImportError) -> None:
     """Raise ImportError where another's file or package has the name of one of the packages."""
-    from _teatbench import hiding, installed_over
+    from _teatbench_packages import hiding, installed_over
 
     if why := hiding() or installed_over():
         raise ImportError(why) from error

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.campaign.plan import CampaignPlan, make_plan
-from bench.campaign.pool import Say, executor
-from bench.campaign.run import Campaign, Status, locked
+from bench.campaign.pool import Say
+from bench.campaign.run import Campaign, Status, executor, locked
 from bench.config import check_within
 from textfiles.bounds import COUNT
 

@@ -18,17 +18,13 @@ import sys
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
-from typing import IO, TYPE_CHECKING, Any, cast
+from contextlib import suppress
+from typing import IO, Any, cast
 
 from bench.campaign.chunk import Rows, Scene, set_aside
 from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.campaign.worker import ONE_THREAD
-from bench.config import ConfigError
 from instruments.clock import stopwatch_s
-
-if TYPE_CHECKING:
-    from bench.campaign.dask_cluster import DaskPool
 
 AHEAD = 2  # scenes given to a process, so that it never waits for the next
 DEATHS = 3  # of processes at one scene, the last of them alone
@@ -247,30 +243,3 @@ class LocalPool:
             limit_s = usual_s if worker.ready else START_LIMIT_S
             if worker.scenes and not worker.killed and now_s - worker.last_message_s > limit_s:
                 worker.kill(f"gave no sign of life for {limit_s:.0f} s and was killed")
-
-
-def usable_processors() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@contextmanager
-def executor(
-    job: Job, workers: int | None, dask: str | None, say: Say
-) -> Iterator[LocalPool | DaskPool]:
-    """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
-    pool: LocalPool | DaskPool
-    if dask is None:
-        pool = LocalPool(job, workers or usable_processors(), say=say)
-    else:
-        try:
-            from bench.campaign.dask_cluster import DaskPool
-        except ImportError as error:
-            raise ConfigError.plain(
-                f"`dask` needs another package: pip install 'teatbench[campaign]' ({error})"
-            ) from error
-        pool = DaskPool(job, dask, say=say)
-    with closing(pool):
-        yield pool

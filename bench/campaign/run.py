@@ -7,10 +7,11 @@ stopped goes on where it was: what is done is what the folder holds.
 from __future__ import annotations
 
 import hashlib
+import os
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -20,8 +21,16 @@ from filelock import FileLock, Timeout
 from bench.campaign.chunk import ASIDE, Rows, Scene
 from bench.campaign.ledger import LEDGER, Ledger
 from bench.campaign.ledger import LOCK as LEDGER_LOCK
-from bench.campaign.plan import CampaignPlan, Chunk, differences, open_plan, plan_text, read_plan
-from bench.campaign.pool import Say, executor
+from bench.campaign.plan import (
+    CampaignPlan,
+    Chunk,
+    Job,
+    differences,
+    open_plan,
+    plan_text,
+    read_plan,
+)
+from bench.campaign.pool import LocalPool, Say
 from bench.campaign.shards import SHARDS, Shards, no_campaign
 from bench.config import ConfigError, writing
 from bench.files import write_synced
@@ -45,6 +54,26 @@ class Executor(Protocol):
     """Works on chunks, in whatever order; asks for one when there is room."""
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]: ...
+
+
+@contextmanager
+def executor(job: Job, workers: int | None, dask: str | None, say: Say) -> Iterator[Executor]:
+    """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
+    if dask is None:
+        usable = (
+            len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        )
+        with closing(LocalPool(job, workers or usable or 1, say=say)) as pool:
+            yield pool
+        return
+    try:
+        from bench.campaign.dask_cluster import DaskPool
+    except ImportError as error:
+        raise ConfigError.plain(
+            f"`dask` needs another package: pip install 'teatbench[campaign]' ({error})"
+        ) from error
+    with closing(DaskPool(job, dask, say=say)) as cluster:
+        yield cluster
 
 
 @dataclass(frozen=True, slots=True)

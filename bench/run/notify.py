@@ -56,7 +56,7 @@ class Notifier:
         self._closing = False
         self._changed = threading.Condition()
         # no daemon, which apprise's own threads would become: Python waits for those without end,
-        # and the command (bench/cli/__main__.py) sees only the others
+        # and the command (bench/cli/process.py) sees only the others
         self._thread = threading.Thread(target=self._work, name="messages")
         self._thread.start()
 

@@ -104,7 +104,7 @@ INTERRUPTED = "teatbench: interrupted: nothing was begun.\n"
 def test_ctrl_c_while_a_command_loads_or_after_it_ended(when: str, code: int, text: str) -> None:
     program = """
 import atexit, os, signal, sys
-from bench.cli.__main__ import main
+from bench.cli.process import main
 interrupt = lambda: os.kill(os.getpid(), signal.SIGINT)
 class Loading:
     def find_spec(self, name, *_):
@@ -133,7 +133,7 @@ def test_a_thread_that_a_driver_left_keeps_no_command_from_its_end(
 ) -> None:
     program = f"""
 import sys, threading, time
-import bench.cli.__main__ as command
+import bench.cli.process as command
 threading.Thread(target=time.sleep, args=({seconds},), name="reader").start()
 sys.argv[1:] = ["help", "no-such-page"]
 sys.exit(command.main())
@@ -157,7 +157,7 @@ GONE = ("sys.__stdout__.close(); sys.__stderr__.close()", "os.close(1); os.close
 
 @pytest.mark.parametrize("gone", GONE)
 def test_a_command_that_can_say_nothing_more_is_no_requirement_that_is_not_met(gone: str) -> None:
-    code = f"import os, sys, bench.cli.main as main, bench.cli.__main__ as it\ndef _run(_):\n {gone}\n 1 / 0\n"
+    code = f"import os, sys, bench.cli.main as main, bench.cli.process as it\ndef _run(_):\n {gone}\n 1 / 0\n"
     code += "main._run, sys.argv = _run, ['teatbench', 'rigs']\nsys.exit(it.main())"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=False)
     assert ended.returncode == 3
