@@ -9,7 +9,7 @@ from functools import partial
 
 from bench.api.shots import AnyRig, load_rig
 from bench.config import ConfigError
-from bench.rig.emulated_rig import EmulatedRig, port_of
+from bench.rig.emulated_rig import PORTS, EmulatedRig, port_of
 from bench.rig.loading import LoadedRig
 from bench.rig.practice import Practice, page_of, served_text
 from bench.rig.urls import ELSEWHERE
@@ -53,18 +53,20 @@ def serve_rig(
             made = partial(EmulatedRig, loaded, clock, seed, host=host, port_base=port_base)
             twin = stack.enter_context(made(pty=pty, paced=paced))
             practice = Practice(twin)
-            served = partial(StreamServer, twin.cameras, clock, host=host, port=at("cameras"))
+            served = partial(StreamServer, twin.cameras, clock, host=host, port=at("streams"))
             streams = served(page=partial(page_of, practice), act=practice.do)
             stack.enter_context(closing(streams))
             listener = partial(Listener, OperatorPort(twin.operator), clock, lock=threading.RLock())
             hands = listener(name="operator", host=host, port=at("operator"))
             stack.enter_context(closing(hands))
         except OSError as error:
-            what = f"can't listen on {'pseudo-terminals' if pty else host}: {error}"
+            where = f"{host}, ports {port_base} to {at(PORTS[-1])}" if port_base else host
+            what = f"can't listen on {'pseudo-terminals' if pty else where}: {error}"
             raise ConfigError.plain(what) from error
         out_of = streams.pulled
         practice.pull_camera = lambda one, out: (out_of.add if out else out_of.discard)(one)
-        more = {name: f"opencv:{url}" for name, url in streams.urls.items()}
+        plugged = "cameras" in twin.listeners
+        more = {} if plugged else {name: f"opencv:{url}" for name, url in streams.urls.items()}
         more["operator"] = hands.url.replace("socket://", ELSEWHERE)
         practice.keep_jammed(clock)
         yield ServedRig(streams.page_url, loaded, twin, more)

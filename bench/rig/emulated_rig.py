@@ -32,7 +32,8 @@ from instruments.stage.emulator.store import EMULATED as DIALECTS
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 
-PORTS = ("arm", "bath", "pump", "stage", "cameras", "operator")  # from a first port on
+# from a first port on; at "streams" are the page and pictures that no plug-in takes
+PORTS = ("arm", "bath", "pump", "stage", "streams", "operator", "cameras")
 AS_A_PTY = "?parity=N&bytesize=8&handshake=none"  # a pseudo-terminal has no other frames
 
 Heated = BathEmulator | LineEmulator | RelayEmulator

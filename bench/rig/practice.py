@@ -70,7 +70,8 @@ class Practice:
 
     @property
     def shown(self) -> PracticeState:
-        names = (*self.twin.listeners, *map(CAMERA.format, KNOWN))
+        plugged_in = self.twin.listeners
+        names = (*plugged_in, *(() if "cameras" in plugged_in else map(CAMERA.format, KNOWN)))
         jammed = self._jammed if self.twin.stage else None
         world = self.twin.world
         cables = {name: name not in self._out for name in names}
@@ -180,10 +181,13 @@ def served_text(rig: LoadedRig, urls: Mapping[str, str], note: str) -> str:
             table[name]["url"] = plug.at(urls[name]) if plug else urls[name]
     if "pump" in urls:
         table["bath"]["pump_url"] = urls["pump"]
-    cameras = {name: {"url": urls[name]} for name in ("left", "right", "thermal")}
-    skew = {"max_skew_s": 1.0}  # a stream says when a frame arrived, not when it was exposed
-    kept = {key: value for key, value in table["cameras"].items() if key != "url"}
-    table["cameras"] = kept | skew | cameras
+    if (plug := plugin_url(table["cameras"].get("url", ""))) and plug.emulated:
+        table["cameras"]["url"] = plug.at(urls["cameras"])
+    else:
+        cameras = {name: {"url": urls[name]} for name in ("left", "right", "thermal")}
+        skew = {"max_skew_s": 1.0}  # a stream says when a frame arrived, not when it was exposed
+        kept = {key: value for key, value in table["cameras"].items() if key != "url"}
+        table["cameras"] = kept | skew | cameras
     files = [(table, "calibration"), (table["arm"], "frame"), (table["arm"], "verification")]
     files += [(table["bath"], "profile"), (table["bath"], "pump_profile")]
     for holder, key in files:

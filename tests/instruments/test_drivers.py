@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import sys
 import threading
+import urllib.request
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
@@ -21,7 +22,7 @@ import pytest
 
 import bench
 from bench.cli.main import main
-from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.emulated_rig import PORTS, EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.urls import bath_url
 from bench.safety.signals import installed
@@ -47,6 +48,7 @@ from instruments.world.world import World
 from tests.bench.commands import Said
 from tests.bench.small_cameras import write_calibration
 from tests.lab_drivers import _install, importable, world_of_few_pixels
+from tests.ports import free_ports
 
 pytestmark = pytest.mark.slow
 KINDS: dict[str, Kind] = {"tank": "bath", "slide": "stage", "probe": "arm", "eyes": "camera"}
@@ -290,15 +292,38 @@ def test_an_unknown_driver_is_wrong_use_and_those_that_are_there_are_listed(
     assert "bath tank: lab-drivers 1.0 (lab_drivers:Tank), with an emulator" in listed
 
 
-def test_what_a_device_does_not_say_is_no_none(tmp_path: Path) -> None:
-    write_calibration(tmp_path)
+def lab_rig(folder: Path) -> Path:
+    """A rig file of drivers from the page, all on their emulators; gives back its path."""
+    write_calibration(folder)
     words = {"bath": "emulator:tank", "arm": "emulator:probe", "cameras": "emulator:eyes"}
     tables = "".join(f'{name}.url = "{url}"\n' for name, url in words.items())
     head = 'name = "lab"\ncalibration = "calibration.toml"\noperator.url = "emulator:"\n'
-    (tmp_path / "lab.toml").write_text(head + tables, encoding="utf-8")
-    found = {name: lines for name, _, lines in bench.check_rig(tmp_path / "lab.toml")}
+    (folder / "lab.toml").write_text(head + tables, encoding="utf-8")
+    return folder / "lab.toml"
+
+
+def test_what_a_device_does_not_say_is_no_none(tmp_path: Path) -> None:
+    found = {name: lines for name, _, lines in bench.check_rig(lab_rig(tmp_path))}
     assert "temperature: 20.00 degC, output not reported" in found["bath"]
     assert not [one for lines in found.values() for one in lines if one.endswith(("None", ": "))]
+
+
+@pytest.mark.slow
+def test_emulators_of_others_are_served_and_a_written_rig_opens_them_by_their_drivers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab, written, base = lab_rig(tmp_path), tmp_path / "written.toml", free_ports(len(PORTS))
+    with bench.serve_rig(lab, port_base=base) as served:
+        assert {*served.urls} == {"arm", "bath", "cameras", "operator"}
+        with urllib.request.urlopen(served.page_url) as page:
+            cables = re.findall(r"<span>(\w+) cable<", page.read().decode("utf-8"))
+        assert cables == ["Arm", "Bath", "Cameras"]
+        written.write_text(served.rig_file(), encoding="utf-8")
+        found = {name: (fault, lines) for name, fault, lines in bench.check_rig(written)}
+        assert [name for name, (fault, _) in found.items() if fault] == []
+        assert any("(the plug-in eyes of lab-drivers" in line for line in found["cameras"][1])
+        ports = f"127.0.0.1, ports {base} to {base + len(PORTS) - 1}: "
+        assert ports in Said(capsys)(2, f"emulate {lab} --port-base {base}").err
 
 
 def test_a_makers_calibration_becomes_the_cameras_part(

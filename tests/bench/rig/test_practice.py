@@ -128,7 +128,7 @@ def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
             page = served.page_url
             if not turn:
                 written.write_text(served.rig_file(), encoding="utf-8")
-            assert page == f"http://127.0.0.1:{base + PORTS.index('cameras')}/"
+            assert page == f"http://127.0.0.1:{base + PORTS.index('streams')}/"
             assert "OUT" in post(page, "pull bath")
             assert main(["check", str(written)]) == 3
             assert "bath: FAULT" in capsys.readouterr().out
