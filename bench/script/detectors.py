@@ -27,7 +27,7 @@ from detector.calibration import Calibration
 from detector.external import ExternalDetector, ProcessLimits
 from detector.protocol import Detector, DetectorProcess, TrainedOn
 from instruments.clock import stopwatch_s
-from instruments.drivers.entry_points import undisturbed
+from instruments.drivers.entry_points import loading
 
 EXEC, FILE = "exec:", ".toml"
 DECLARED = Path("detectors")
@@ -167,8 +167,11 @@ def _make(name: str, folder: Path, gives_up: bool) -> Detector:
         known = name in registry.SHIPPED or name in registry.available()
         if not known:
             return _of_file(DECLARED / f"{name}{FILE}", gives_up)
-        with undisturbed():  # another's modules are loaded
-            return registry.create(name)
+        try:
+            with loading(f"detector {name}"):
+                return registry.create(name)
+        except ImportError as error:
+            raise ConfigError.plain(f"detector {name!r} can't be used: {error}") from error
     try:
         command = taken_apart(name.removeprefix(EXEC), windows=os.name == "nt")
     except ValueError as error:

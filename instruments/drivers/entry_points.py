@@ -9,10 +9,14 @@ port of this machine. The driver gets the port as its key ``url``.
 from __future__ import annotations
 
 import builtins
+import hashlib
 import json
 import logging
 import os
+import select
 import signal
+import socket
+import sqlite3
 import sys
 import threading
 import time
@@ -23,7 +27,9 @@ from difflib import get_close_matches
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
+from operator import is_not
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal
 from urllib.parse import parse_qsl, urlencode
 
@@ -36,6 +42,11 @@ from textfiles.text import named
 PLUGIN, EMULATOR = "plugin:", "emulator:"
 SAID = 200  # characters of another's words
 LIMITS = ("AS", "DATA", "FSIZE", "NOFILE", "NPROC")  # bytes, files, threads
+LIBRARY = (builtins, hashlib, json, logging, os, sqlite3, time)  # whose functions are put back
+# by whose functions threads and links wait already: there is no way back to others
+WAITING = (select, socket, threading)
+# the bench's own libraries, of which a driver's `logging.basicConfig` would show each step
+QUIET = ("filelock", "fontTools", "matplotlib", "numba", "PIL", "pymodbus")
 ENDING = [one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")]
 Kind = Literal["arm", "bath", "camera", "stage"]
 KINDS: tuple[Kind, ...] = ("arm", "bath", "camera", "stage")
@@ -136,7 +147,7 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
         if not plug.pattern.match(plug.value):
             raise ValueError("no module:name")
         # a module may put other streams in place of these as it is loaded
-        with undisturbed(), redirect_stdout(sys.stdout), redirect_stderr(sys.stderr):
+        with loading(plug.module), redirect_stdout(sys.stdout), redirect_stderr(sys.stderr):
             maker = plug.load()
     except BaseException as error:  # another's code
         if by_ctrl_c(error):
@@ -223,15 +234,54 @@ def _put_back(limits: Mapping[int, tuple[int, int]]) -> None:
                 resource.setrlimit(one, (soft if most == hard else most, most))
 
 
+_Before = list[tuple[ModuleType, dict[str, Any]]]
+
+
+def _names(modules: tuple[ModuleType, ...]) -> _Before:
+    """What the names in ``modules`` stand for now."""
+    return [(module, vars(module).copy()) for module in modules]
+
+
+def _replaced(before: _Before) -> Iterator[tuple[ModuleType, str, Any]]:
+    """Functions and classes that are others now, or gone: module, name, what it was."""
+    for module, names in before:
+        now = vars(module)
+        if len(now) < len(names) or any(map(is_not, names.values(), now.values())):
+            for name, one in names.items():
+                if callable(one) and now.get(name) is not one:
+                    yield module, name, one
+
+
+_refused: dict[str, str] = {}  # by module: what it replaced as it was loaded
+
+
+@contextmanager
+def loading(module: str) -> Iterator[None]:
+    """As `undisturbed`, while another's ``module`` is loaded. Raises ImportError where it replaces
+    functions by which the bench's own threads and links wait.
+    """
+    before = _names(WAITING)
+    for one in QUIET:
+        logging.getLogger(one).setLevel(logging.WARNING)
+    with undisturbed():
+        yield
+    gone = [f"{where.__name__}.{name}" for where, name, _ in _replaced(before)]
+    if what := _refused.setdefault(module, ", ".join(gone[:3])):
+        raise ImportError(
+            f"it replaces functions of Python that the bench waits by, such as {what}: leave out"
+            " what does so, as gevent's monkey.patch_all"
+        )
+
+
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Some libraries change what the whole process has: the working folder, by which files of a run
-    are named, who may read new files, what Ctrl-C does, where modules are found, what `open`,
-    `time.sleep` and `json.dumps` are, what is an error to NumPy, how much memory and how many files
-    there may be, how deep calls go, what traces new threads, and the stack that a thread gets and
-    what it does with its errors, without which none starts. A handler that one gives the root
-    logger, which every library's words go to, raises nothing in the bench. A copy of the process
-    that one forks ends where it would come back.
+    are named, who may read new files, what Ctrl-C does, where modules are found, what the names in
+    `LIBRARY` are, what is an error to NumPy, how much memory and how many files there may be, how
+    deep calls go, what traces new threads, and the stack that a thread gets and what it does with
+    its errors, without which none starts. A handler that one gives the root logger, which every
+    library's words go to, raises nothing in the bench. A copy of the process that one forks ends
+    where it would come back.
     """
     given: Any = threading.excepthook, sys.excepthook  # None, by a thread of a driver's
     hooks = given[0] or threading.__excepthook__, given[1] or sys.__excepthook__
@@ -239,10 +289,7 @@ def undisturbed() -> Iterator[None]:
     folder, path, finders = Path(), [*sys.path], [*sys.meta_path]
     stack = threading.stack_size(0)
     threading.stack_size(stack)  # to ask for it sets it
-    calls = [
-        (vars(module), {name: one for name, one in vars(module).items() if callable(one)})
-        for module in (builtins, time, json, logging)
-    ]
+    calls = _names(LIBRARY)
     logs, limits, depth = [*logging.root.handlers], _limits(), sys.getrecursionlimit()
     traced, profiled = threading.gettrace(), threading.getprofile()
     with suppress(OSError):  # it may be gone
@@ -259,8 +306,8 @@ def undisturbed() -> Iterator[None]:
         os.umask(mask)
         threading.stack_size(stack)
         threading.excepthook, sys.excepthook = hooks
-        for now, before in calls:
-            now.update(before)
+        for module, name, one in _replaced(calls):
+            setattr(module, name, one)
         for log in logging.root.handlers:
             if log not in logs:
                 log.handle = partial(_handle, log.handle)  # type: ignore[method-assign]

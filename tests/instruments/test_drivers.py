@@ -4,7 +4,9 @@ InstrumentError.
 
 from __future__ import annotations
 
+import logging
 import re
+import socket
 import sys
 import threading
 import urllib.request
@@ -26,6 +28,7 @@ from bench.rig.emulated_rig import PORTS, EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.urls import bath_url
 from bench.safety.signals import installed
+from bench.script.detectors import make_detectors
 from bench.testing.plugins import check_driver, drivers
 from detector.calibration import load_part
 from instruments.clock import RealClock, VirtualClock
@@ -38,6 +41,7 @@ from instruments.drivers.entry_points import (
     PluginUrl,
     emulator_of,
     load,
+    loading,
     plugin_url,
 )
 from instruments.drivers.plugin import ArmPoint, StageState
@@ -271,6 +275,38 @@ def test_an_entry_point_that_gives_no_driver_is_said(name: str, says: str, tmp_p
             assert {*listed.split(" and ")} == both
         with pytest.raises(ValueError, match="the plug-in 'alone' has no emulator"):
             bath_url("emulator:alone")
+
+
+@pytest.mark.parametrize("kind", ["bath", "detector"])
+def test_what_replaces_functions_that_the_bench_waits_by_is_refused(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As gevent's monkey.patch_all does, beside which no thread of the bench's goes on. Once more
+    too, when nothing is replaced any more.
+    """
+    name = f"patches_{kind}"
+    code = "import socket\nsocket.fromfd = print\nclass Green:\n    detect = print\n"
+    _install(tmp_path, name, name, code, f"[teatbench.{kind}s]\ngreen = {name}:Green\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(socket, "fromfd", socket.fromfd)
+    says = r"it replaces functions of Python .* such as socket\.fromfd: leave out"
+    for _ in range(2):
+        with pytest.raises((LimitError, bench.ConfigError), match=says):
+            load("bath", PluginUrl("green")) if kind == "bath" else make_detectors(["green"])
+
+
+def test_the_steps_of_the_benchs_own_libraries_are_not_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A driver's `logging.basicConfig(level=DEBUG)` is for its own words."""
+    level = logging.root.level
+    try:
+        with loading("a_module"):
+            logging.root.setLevel(logging.DEBUG)
+        assert not logging.getLogger("matplotlib.font_manager").isEnabledFor(logging.INFO)
+        assert logging.getLogger("lab").isEnabledFor(logging.DEBUG)
+    finally:
+        logging.root.setLevel(level)
 
 
 def test_keys_are_text_and_come_back() -> None:

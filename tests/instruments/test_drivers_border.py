@@ -5,11 +5,13 @@ members gives or raises; and what comes out of it is a value that the bench can 
 from __future__ import annotations
 
 import builtins
+import hashlib
 import itertools
 import json
 import logging
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -225,6 +227,8 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         sys.meta_path.clear()
         threading.stack_size(HUGE_STACK)
         builtins.open = time.sleep = json.dumps = fails  # type: ignore[assignment]
+        os.replace = hashlib.sha256 = None  # type: ignore[assignment, misc]
+        del sqlite3.connect
         threading.settrace(fails)
         sys.setrecursionlimit(200)
         logging.root.addHandler(log)
@@ -259,8 +263,9 @@ def _of_the_process() -> tuple[object, ...]:
     limit: object = None
     if sys.platform != "win32":
         limit = resource.getrlimit(resource.RLIMIT_AS)
-    calls = open, time.sleep, json.dumps, threading.gettrace(), sys.getrecursionlimit()
-    return *handlers, np.geterr(), stack, *calls, [*sys.meta_path], limit
+    calls = open, time.sleep, json.dumps, os.replace, hashlib.sha256, sqlite3.connect
+    traced = threading.gettrace(), sys.getrecursionlimit()
+    return *handlers, np.geterr(), stack, *calls, *traced, [*sys.meta_path], limit
 
 
 FORKS = """
