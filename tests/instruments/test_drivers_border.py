@@ -227,7 +227,7 @@ def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
         sys.meta_path.clear()
         threading.stack_size(HUGE_STACK)
         builtins.open = time.sleep = json.dumps = fails  # type: ignore[assignment]
-        os.replace = hashlib.sha256 = None  # type: ignore[assignment, misc]
+        os.replace = hashlib.sha256 = None  # type: ignore[assignment]
         del sqlite3.connect
         threading.settrace(fails)
         sys.setrecursionlimit(200)
