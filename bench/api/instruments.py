@@ -74,7 +74,7 @@ def watch_bath(
             time.sleep(every_s)
 
 
-def describe_bath(bath: OwnBath) -> Mapping[str, object]:
+def describe_bath(bath: Bath) -> Mapping[str, object]:
     """Who it is, and what it reports; units are in the names, None is what it doesn't report."""
     reading, run = bath.read(), bath.profile.row("run")
     return {
@@ -110,10 +110,15 @@ class TriedBath:
     doubt: str
 
 
-def try_bath(bath: OwnBath) -> TriedBath:
+def try_bath(bath: Bath) -> TriedBath:
     """Ask a bath for each row of its profile by itself, for a profile that is being made: open it
-    with ``identify=False``. Writes nothing. Raises LinkError.
+    with ``identify=False``. Writes nothing. Raises LinkError, ConfigError for a plug-in's.
     """
+    if not isinstance(bath, OwnBath):
+        what = (
+            "a plug-in's bath has no profile to be made; 'teatbench plugin check' tries its driver"
+        )
+        raise ConfigError.plain(f"{bath.url}: {what}")
     return TriedBath(tuple(bath.try_rows()), bath.doubt)
 
 

@@ -35,7 +35,7 @@ BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
 
 
 def _opened(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Any]:
-    return bench.open_bath(given.port, given.profile, capture=given.capture, **how)
+    return bench.open_bath(given.port, given.profile or "", capture=given.capture, **how)
 
 
 def read(given: argparse.Namespace) -> None:

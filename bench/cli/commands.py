@@ -134,8 +134,7 @@ BATH_LINK = (
     ),
     option(
         "--profile NAME",
-        "a shipped profile by name, or a .toml file (help add-a-bath)",
-        required=True,
+        "a shipped profile by name, or a .toml file (help add-a-bath); none for a plug-in",
     ),
 )
 UNTIL = option("--seconds S", "end after so many seconds (default: Ctrl-C ends it)", SECONDS)
@@ -167,7 +166,7 @@ RESETS = "opening the port resets most controllers, so that the stage has to be 
 SOURCES = option(
     "sources SOURCE",
     "a rig by name or .toml file (default: emulated), or one to three cameras: opencv:0,"
-    " opencv:http://…, genicam:NAME",
+    " opencv:http://…, genicam:NAME, plugin:NAME",
     nargs="*",
 )
 

@@ -32,6 +32,9 @@ from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.device_file import DeviceFileError
+from instruments.drivers.bath import profile_of
+from instruments.drivers.entry_points import load as load_driver
+from instruments.drivers.entry_points import plugin_url
 from instruments.drivers.protocols import Cameras, Stage
 from instruments.errors import DeviceError, InstrumentError
 from instruments.stage.settings import check_within, declared
@@ -39,6 +42,8 @@ from instruments.stage.settings import check_within, declared
 Returned = TypeVar("Returned")
 TakePictures = Callable[[], Mapping[str, Grey]]
 TRIES = 4
+BY_URL = ("emulator", "files", "genicam", "opencv", "plugin")
+EMULATED_ALONE = "an emulated {} lives in the bench; 'teatbench emulate' serves one at a port"
 ONE = "single"  # what one camera without a place in a rig is called
 
 
@@ -79,18 +84,20 @@ def open_cameras(sources: Sequence[str]) -> Iterator[OpenCameras]:
     """Cameras of a rig (none: the emulated one) or by URL, until the block ends. Raises
     ConfigError, InstrumentError.
     """
-    by_url = any(source.partition(":")[0] in ("opencv", "genicam", "files") for source in sources)
+    by_url = any(source.partition(":")[0] in BY_URL for source in sources)
     if by_url and len(sources) > len(KNOWN):
         raise ConfigError.plain(
             f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}"
         )
     if not by_url and len(sources) > 1:
         raise ConfigError.plain(
-            "one rig, or one to three cameras by URL (opencv:…, genicam:…, files:…); got"
+            "one rig, or one to three cameras by URL (opencv:…, genicam:…, files:…, plugin:…); got"
             f" {' '.join(sources)}"
         )
     if not by_url:
         rig = load_rig(find_rig(sources[0] if sources else None))
+    elif len(sources) == 1 and _is_group(sources[0]):
+        rig = rig_of(cameras=CamerasTable(url=sources[0]))
     elif len(sources) == 1:
         rig, table = rig_of(cameras=CamerasTable(url="emulator:")), _table(sources[0])
         with (
@@ -122,8 +129,17 @@ def open_cameras(sources: Sequence[str]) -> Iterator[OpenCameras]:
             yield given
 
 
+def _is_group(source: str) -> bool:
+    """Whether it is a plug-in's that gives several pictures of one device."""
+    _table(source)
+    plug = plugin_url(source)
+    return plug is not None and hasattr(load_driver("camera", plug).maker, "parts")
+
+
 def _table(source: str) -> OneCamera:
     try:
+        if is_emulated(source):
+            raise ValueError(EMULATED_ALONE.format("camera"))
         return OneCamera(url=camera_url(source))
     except ValueError as error:
         raise ConfigError.plain(f"{source}: {error}") from error
@@ -227,9 +243,7 @@ def _refuse_address(kind: str, url: str, check: Callable[[str], object]) -> None
     """Raises ConfigError where no device of its own can be at ``url``."""
     try:
         if is_emulated(url):
-            raise ValueError(
-                f"an emulated {kind} lives in the bench; 'teatbench emulate' serves one at a port"
-            )
+            raise ValueError(EMULATED_ALONE.format(kind))
         check(url)
     except ValueError as error:
         raise ConfigError.plain(f"{url!r} is no {kind}: {error}") from error
@@ -249,10 +263,23 @@ def bath_profile(name: str) -> Profile:
         raise ConfigError.plain(str(error)) from error
 
 
+def _profile_at(url: str, profile: Profile | str) -> Profile:
+    plug = plugin_url(url)
+    if plug and profile:
+        raise ConfigError.plain(f"{url} says itself what its bath is: leave the profile out")
+    if plug:
+        return profile_of(load_driver("bath", plug))
+    if not profile:
+        there = ", ".join(profile_names())
+        what = "which controller is there? Name its profile"
+        raise ConfigError.plain(f"{url}: {what}. Shipped: {there}; or the path of a .toml file.")
+    return bath_profile(profile) if isinstance(profile, str) else profile
+
+
 @contextmanager
 def open_bath(
     url: str,
-    profile: Profile | str,
+    profile: Profile | str = "",
     *,
     allow_inferred: bool = False,
     identify: bool = True,
@@ -260,10 +287,11 @@ def open_bath(
     leave_running: bool = False,
 ) -> Iterator[Bath]:
     """The bath at ``url``, as in a rig file's [bath], in real time; made safe at the end where it
-    was started, unless ``leave_running``. Raises ConfigError, InstrumentError.
+    was started, unless ``leave_running``. A plug-in says itself what its bath is, and has what
+    `instruments.Bath` promises. Raises ConfigError, InstrumentError.
     """
     _refuse_address("bath", url, bath_url)
-    of = bath_profile(profile) if isinstance(profile, str) else profile
+    of = _profile_at(url, profile)
     rig = rig_of(
         of, bath=BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
     )

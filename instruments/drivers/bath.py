@@ -21,6 +21,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError
 SAFE_TRIES = 3
 SAME_K = 0.051  # a set point that is read back: half a step of a tenth, and rounding
 VALUES = {"pump": ("none", "with run"), "comms_loss": ("hold", "stop", "unknown")}
+HEATS = "Its set point can be changed while it heats: a run, or start(), begins that."
 ALARM = 1  # the code of whatever its alarm says in words
 
 
@@ -66,6 +67,7 @@ class PluggedBath(Plugged):
     """As `instruments.bath.driver.Bath`. A link that is lost is opened anew by the next call."""
 
     safe_state = "in standby, as it reads back itself"
+    doubt, unit_source = "", "degC, by its driver"
     pump_url = ""
     pump_on = False
     watchdog_s: float | None = None
@@ -142,8 +144,11 @@ class PluggedBath(Plugged):
         """Change the set point of a bath that heats. Raises LimitError of one that stands by."""
         self.check_start(set_point_c)
         if not self._state().running:
-            raise LimitError(self.who, "it stands by", asked="a set point", hint="Call start().")
+            raise LimitError(self.who, "it stands by", asked="a set point", hint=HEATS)
         self._start(set_point_c)
+
+    def confirm_unit(self, display_c: float) -> None:
+        """Its driver gives degC."""
 
     def acknowledge(self) -> None:
         raise LimitError(self.who, "its alarm is cleared at the controller", asked="acknowledge")

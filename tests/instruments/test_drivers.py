@@ -358,8 +358,16 @@ def test_emulators_of_others_are_served_and_a_written_rig_opens_them_by_their_dr
         found = {name: (fault, lines) for name, fault, lines in bench.check_rig(written)}
         assert [name for name, (fault, _) in found.items() if fault] == []
         assert any("(the plug-in eyes of lab-drivers" in line for line in found["cameras"][1])
+        said, at = Said(capsys), served.urls
+        tank, eyes = f"plugin:tank?url={at['bath']}", f"plugin:eyes?url={at['cameras']}"
+        assert "degC, by its driver" in said(0, f"bath read --port {tank}").out
+        assert "in standby at 20.00 degC" in said(0, f"bath standby --port {tank}").out
+        assert "can be changed while it heats" in said(2, f"bath set 30 --port {tank}").err
+        assert "leave the profile out" in said(2, f"bath read --port {tank} --profile haake").err
+        assert "plugin check" in said(2, f"bath learn --port {tank}").err
+        assert "(the plug-in eyes of lab-drivers" in said(0, f"camera show {eyes}").out
         ports = f"127.0.0.1, ports {base} to {base + len(PORTS) - 1}: "
-        assert ports in Said(capsys)(2, f"emulate {lab} --port-base {base}").err
+        assert ports in said(2, f"emulate {lab} --port-base {base}").err
 
 
 def test_a_makers_calibration_becomes_the_cameras_part(
