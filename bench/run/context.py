@@ -225,6 +225,7 @@ class RunContext:
             tripped=tripped,
             last_error=events.error,
             emulated=self.rig.rig.partly_emulated,
+            rig=self.rig.rig.name,
             wall_time=wall_time().isoformat(timespec="milliseconds"),
         )
         return replace(status, next=(*status.unsafe, *self._next(status)))
