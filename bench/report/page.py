@@ -429,6 +429,7 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
         chain = {
             "record's chain": f"{head.number} links",
             "record's digest": head.wall_digest,
+            "is it still so": f"teatbench store check {in_command(run.folder)}",
             "record's digest without real time (repeats with the seed)": head.digest,
         }
     for name, item in facts["items"].items():

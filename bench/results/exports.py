@@ -25,7 +25,7 @@ from reports.sanitize import csv_text, sanitized
 from textfiles.text import full_stop
 
 VERSION = 1  # of `run.json`
-JUNIT, RUN_JSON, HAS_VERDICT = "junit.xml", "run.json", "the run has a verdict"
+PAGE, JUNIT, RUN_JSON, HAS_VERDICT = "index.html", "junit.xml", "run.json", "the run has a verdict"
 # the suite, the case, the kind of its element or "", the message and the text of that
 Case = tuple[str, str, str, str, str]
 BENCH = "bench"  # the suite of its own requirements, where several detectors were judged
@@ -44,9 +44,20 @@ def write_exports(
     write_together(folder, ((name, text.encode()) for name, text in texts.items()))
 
 
+def has_report(folder: Path, damage: Sequence[str]) -> bool:
+    """Whether the run in ``folder`` has a report that says what its record says: of one that is
+    damaged, a report of before may still say "met".
+    """
+    if not (folder / "report" / PAGE).is_file():
+        return False
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        return not damage or bool(json.loads((folder / "report" / RUN_JSON).read_bytes())["damage"])
+    return False
+
+
 def drop_report(folder: Path) -> None:
     """Remove what a report says of the run in ``folder``: it goes on."""
-    for name in ("index.html", "whole.html", RUN_JSON, JUNIT, "trials.csv", "report.pdf"):
+    for name in (PAGE, "whole.html", RUN_JSON, JUNIT, "trials.csv", "report.pdf"):
         (folder / "report" / name).unlink(missing_ok=True)
 
 
