@@ -42,7 +42,7 @@ function draw(tag, given = {}, ...children) {
 }
 const headers = (more = {}) => ({ Authorization: `Bearer ${TOKEN}`, "X-Client": CLIENT, ...more });
 // values as pages write them: messages have degC, which any terminal can show
-const read = (text) => JSON.parse(text.replace(/(\d) degC\b/g, "$1 °C"));
+const read = (text) => JSON.parse(text.replace(/(\d) degC\b/g, "$1\u00a0°C"));
 async function ask(path, body) {
   const options = body === undefined
     ? { headers: headers() }
@@ -495,7 +495,7 @@ function listed(one) {
       make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
       make("p", { className: "soft" }, `${one.title}; on ${one.rig || "a recording"}`),
       make("p", { className: one.status.state === "running" && !one.status.unsafe.length ? "good" : "" }, one.status.headline),
-      ...one.status.unsafe.map((line) => make("p", { className: "bad" }, line)),
+      ...[...one.status.unsafe, one.status.damage.length ? one.status.why : ""].filter(Boolean).map((line) => make("p", { className: "bad" }, line)),
       make("ul", { className: "chips" }, ...verdicts(one.status))),
     place,
     make("p", { className: "row" },
