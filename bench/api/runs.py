@@ -206,7 +206,7 @@ def _followed(
 
             def ended(runs: Sequence[RunStatus], queue: Path | None = None) -> None:
                 where = f" ({runs[0].rig})" if runs else ""
-                title, texts = f"Queue{where}: {ENDED}", list[str]()
+                title, texts = " ".join(f"Queue{where}: {ENDED}".split()), list[str]()
                 if queue:
                     from bench.report.runs import queue_headline
 

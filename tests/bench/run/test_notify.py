@@ -87,8 +87,8 @@ def pool() -> None:
         (PROMPTED, None, None, []),
         (
             TRIPPED,
-            replace(STATUS, rig="south bench"),
-            "Short (south bench): tripped",
+            replace(STATUS, title=" Short\nBcc: x", rig="south\n bench"),
+            "Short Bcc: x (south bench): tripped",
             ["interlock level", f"{BATH.by_hand}: no answer"],
         ),
         (TRIPPED, STATUS, "Short: tripped", ["interlock level", f"{BATH.by_hand}: no answer"]),
