@@ -45,13 +45,11 @@ def write_exports(
 
 
 def has_report(folder: Path, damage: Sequence[str]) -> bool:
-    """Whether the run in ``folder`` has a report that says what its record says: of one that is
-    damaged, a report of before may still say "met".
-    """
-    if not (folder / "report" / PAGE).is_file():
-        return False
+    """Whether there is a report, and one of before the ``damage`` to its record doesn't count."""
+    report = folder / "report"
     with suppress(OSError, ValueError, LookupError, TypeError):
-        return not damage or bool(json.loads((folder / "report" / RUN_JSON).read_bytes())["damage"])
+        said = bool(damage and not json.loads((report / RUN_JSON).read_bytes())["damage"])
+        return (report / PAGE).is_file() and not said
     return False
 
 

@@ -60,18 +60,16 @@ def diagnosis(fault: InstrumentError) -> tuple[str, str]:
 
 
 def to_check(fault: InstrumentError, policy: Policy) -> str:
-    """What a person checks. What keeps pictures from being of use knows its own cure: water that is
-    cold is no matter of cables.
-    """
+    """What a person checks. Pictures of no use have their own cure: cold water is no cable's."""
     return (diagnosis(fault) == PICTURES and fault.hint) or policy.check
 
 
 def goes_on(fault: InstrumentError) -> str:
     """When it goes on without a key."""
-    name, _ = diagnosis(fault)
-    back = f"the {name} {'are' if name == 'cameras' else 'is'} back"
-    usable = "the cameras' pictures are usable"
-    return f"It goes on by itself when {usable if diagnosis(fault) == PICTURES else back}."
+    if diagnosis(fault) == PICTURES:
+        return "It goes on by itself when the cameras' pictures are usable."
+    name = diagnosis(fault)[0]
+    return f"It goes on by itself when the {name} {'are' if name == 'cameras' else 'is'} back."
 
 
 def no_step() -> None:
