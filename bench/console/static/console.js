@@ -41,8 +41,9 @@ function draw(tag, given = {}, ...children) {
   return node;
 }
 const headers = (more = {}) => ({ Authorization: `Bearer ${TOKEN}`, "X-Client": CLIENT, ...more });
-// values as pages write them: messages have degC, which any terminal can show
-const read = (text) => JSON.parse(text.replace(/(\d) degC\b/g, "$1\u00a0°C"));
+// values as pages write them: messages have degC, which any terminal can show; a folder's name stays as it is
+const values = (text) => text.replace(/(\d) degC\b/g, "$1 °C").replace(/(\d) (?=%|°C)/g, "$1\u00a0");
+const read = (text) => JSON.parse(text, (key, value) => (typeof value === "string" && !["name", "run"].includes(key) ? values(value) : value));
 async function ask(path, body) {
   const options = body === undefined
     ? { headers: headers() }
