@@ -212,7 +212,7 @@ def sides(runs: Sequence[RunRecord], detectors: Sequence[str] = ()) -> Iterator[
                 )
         if len(names) < 2:
             raise ConfigError.plain(
-                f"{first.folder} has one detector, {names[0]}: name a second one to compare it with"
+                f"{first.folder} has one detector, {names[0]}: name a second run to compare it with"
             )
         yield from ((Side(first, names[0]), Side(first, name)) for name in names[1:])
     for run in others:
