@@ -15,6 +15,7 @@ from reports.render import assets, environment, policy_hash, write_whole
 from reports.trust import address, one_of
 
 PAGE = "index.html"
+JUDGED = ("met", "not met", "inconclusive")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,13 @@ class Result:
     def share(self) -> str:
         """``97 %`` of the visible teats found; empty where none was visible, or no answer came."""
         return f"{100 * self.found // self.visible} %" if self.visible else ""
+
+    @property
+    def step(self) -> str:
+        """In a row of runs: its share, or the verdict where that is no judgement: four states have
+        one sign.
+        """
+        return self.share if self.share and self.verdict in JUDGED else self.verdict
 
     @property
     def brief(self) -> str:

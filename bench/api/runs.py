@@ -205,7 +205,8 @@ def _followed(
         with notifying(urls, events.warn) as send:
 
             def ended(runs: Sequence[RunStatus], queue: Path | None = None) -> None:
-                title, texts = f"Queue: {ENDED}", list[str]()
+                where = f" ({runs[0].rig})" if runs else ""
+                title, texts = " ".join(f"Queue{where}: {ENDED}".split()), list[str]()
                 if queue:
                     from bench.report.runs import queue_headline
 

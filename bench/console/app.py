@@ -375,8 +375,8 @@ class Console:
         """An address for the run's report, which a tab can open without the token."""
         folder = self._folder(request)
         await _body(request)
-        if not (folder / "report" / "index.html").is_file():
-            return _refused(404, "this run has no report")
+        if not await _off(watching.reported, folder):
+            return _refused(404, "this run has no report of its record as it is")
         ticket = secrets.token_urlsafe(24)
         self.tickets[ticket] = folder.resolve()  # the page shows the frames beside it
         return JSONResponse({"url": f"/report/{ticket}/report/index.html"})

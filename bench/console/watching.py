@@ -21,6 +21,7 @@ from bench.record.reader import opened, points_mm, read_facts, read_run
 from bench.record.schema import DATABASE, GUARDIAN_FILES
 from bench.report.runs import run_thumbnails
 from bench.report.trials import project_all
+from bench.results.exports import has_report
 from bench.results.status import LIVE, RUN_JSON, RunStatus, live_status, read_status, under_way
 from bench.rig.practice import SHOWN as PRACTICE
 from bench.run.events import EVENTS_FILE
@@ -61,15 +62,20 @@ def listed(runs: Path) -> list[dict[str, Any]]:
 
 
 def _card(folder: Path) -> dict[str, Any]:
-    facts = read_facts(folder)
+    facts, found = read_facts(folder), status(folder)
     return {
         "name": folder.name,
         **{key: facts.get(key, "") for key in ("title", "script", "rig", "kind", "set_point_c")},
         "detectors": facts["detectors"],
         "started": facts["wall_started"],
-        "report": (folder / RUN_JSON).is_file(),
-        "status": status(folder),
+        "report": has_report(folder, found["damage"]),
+        "status": found,
     }
+
+
+def reported(folder: Path) -> bool:
+    """Whether a page can be shown that says what the record says."""
+    return has_report(folder, status(folder)["damage"])
 
 
 def status(folder: Path) -> dict[str, Any]:

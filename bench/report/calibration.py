@@ -308,7 +308,7 @@ def world_page(result: WorldResult) -> PageOf:
     scores = (
         _enough("Anywhere in the working volume", worst, f"up to {worst:.2f} mm", where),
         _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.2f} mm rms"),
-        _figure_only("A point left out is missed by", left_out),
+        _figure_only("A point left out is off by", left_out),
     )
     alt = f"{plural(len(fit.touched_mm), 'point')}, {comparison.rigid.fre_mm:.2f} mm rms"
     caption = "Where the arm touched, less where the cameras see it, along the world's axes"

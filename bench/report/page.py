@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.config import read_calibration
 from bench.files import is_unreadable, sha256_of
-from bench.record.check import NOT_AS_WRITTEN, shortened
+from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
@@ -180,7 +180,7 @@ def build_page(
         requirements = (requirements[0], replace(folded, parts=(*folded.parts, statements)))
     by_id = {part.id: part for part in made}
     looks = [look_at(*one, by_id[trial_id(one[0])], calibration) for one in looked.values()]
-    alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
+    alarm = f"{NOT_AS_WRITTEN}: no figure below holds."  # the verdict says what of it
     return page_of(
         str(run.facts["title"]),
         str(run.facts.get("about", "")),
@@ -430,6 +430,7 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
             "record's chain": f"{head.number} links",
             "record's digest": head.wall_digest,
             "record's digest without real time (repeats with the seed)": head.digest,
+            "whether the record is still so": f"teatbench store check {in_command(run.folder)}",
         }
     for name, item in facts["items"].items():
         yield from _configured(f"Item under test: {name}", item)

@@ -18,7 +18,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.schema import DATABASE
 from bench.report.growing import REPORT
 from bench.report.trials import round_teats, shown, views_of, worst_trials
-from bench.results.exports import write_queue_errors
+from bench.results.exports import has_report, write_queue_errors
 from bench.results.health import charts, history
 from bench.results.queue import NAME, QueueStatus, queues
 from bench.results.status import RunStatus, status_of
@@ -92,7 +92,7 @@ def _listed(folder: Path) -> Run:
         run = read_run(folder, damage)
         scored_too = not run.damage and any(trial.scores for trial in run.trials)
         status = status_of(run, judge(run, stored_rules(folder)) if scored_too else ())
-        facts, report = run.facts, f"{REPORT}/{PAGE}"
+        facts = run.facts
         # what holds it back
         how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
         return Run(
@@ -105,7 +105,7 @@ def _listed(folder: Path) -> Run:
             status=status.as_dict(),
             results=tuple(_results(run, status)),
             damage=damage,
-            report=f"{folder.name}/{report}" if (folder / report).is_file() else "",
+            report=f"{folder.name}/{REPORT}/{PAGE}" if has_report(folder, damage) else "",
             note="" if status.decided else "\n".join((*status.unsafe, how, *status.then)),
             thumbnails=tuple(run_thumbnails(run)),
         )

@@ -25,7 +25,7 @@ from reports.sanitize import csv_text, sanitized
 from textfiles.text import full_stop
 
 VERSION = 1  # of `run.json`
-JUNIT, RUN_JSON, HAS_VERDICT = "junit.xml", "run.json", "the run has a verdict"
+PAGE, JUNIT, RUN_JSON, HAS_VERDICT = "index.html", "junit.xml", "run.json", "the run has a verdict"
 # the suite, the case, the kind of its element or "", the message and the text of that
 Case = tuple[str, str, str, str, str]
 BENCH = "bench"  # the suite of its own requirements, where several detectors were judged
@@ -44,9 +44,18 @@ def write_exports(
     write_together(folder, ((name, text.encode()) for name, text in texts.items()))
 
 
+def has_report(folder: Path, damage: Sequence[str]) -> bool:
+    """Whether there is a report, and one of before the ``damage`` to its record doesn't count."""
+    report = folder / "report"
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        said = bool(damage and not json.loads((report / RUN_JSON).read_bytes())["damage"])
+        return (report / PAGE).is_file() and not said
+    return False
+
+
 def drop_report(folder: Path) -> None:
     """Remove what a report says of the run in ``folder``: it goes on."""
-    for name in ("index.html", "whole.html", RUN_JSON, JUNIT, "trials.csv", "report.pdf"):
+    for name in (PAGE, "whole.html", RUN_JSON, JUNIT, "trials.csv", "report.pdf"):
         (folder / "report" / name).unlink(missing_ok=True)
 
 

@@ -149,7 +149,7 @@ class RunStatus:
     """A run at ``wall_time``. ``step``: a state of the run (docs/runs.md) or "going to safe", and
     ``state`` once it has ended; ``doing`` says more. ``verdicts``: by detector, ``state`` where
     there is none. ``why`` and ``next`` are sentences, most urgent first. ``emulated``: which of its
-    instruments, where others are real. ``age_s``: how long ago the run said this of itself.
+    instruments, where others are real. ``rig``: its name. ``age_s``: how old this word of it is.
     """
 
     run: str
@@ -173,6 +173,7 @@ class RunStatus:
     next: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     emulated: tuple[str, ...] = ()
+    rig: str = ""
     wall_time: str = ""
     age_s: float = 0.0
 
@@ -336,6 +337,7 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
         planned=run.facts.get("planned"),
         damage=run.damage,
         emulated=tuple(run.facts.get("emulated", ())),
+        rig=str(run.facts.get("rig", "")),
         wall_time=str(run.facts.get("wall_ended") or run.facts.get("wall_started", "")),
     )
     if state is State.RUNNING and live:

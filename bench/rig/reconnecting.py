@@ -5,6 +5,7 @@ person checks then, how it is reached and homed again, and the wait for it. A ru
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -58,6 +59,19 @@ def diagnosis(fault: InstrumentError) -> tuple[str, str]:
     return instrument if instrument in INSTRUMENTS else "", kind
 
 
+def to_check(fault: InstrumentError, policy: Policy) -> str:
+    """What a person checks. Pictures of no use have their own cure: cold water is no cable's."""
+    return (diagnosis(fault) == PICTURES and fault.hint) or policy.check
+
+
+def goes_on(fault: InstrumentError) -> str:
+    """When it goes on without a key."""
+    if diagnosis(fault) == PICTURES:
+        return "It goes on by itself when the cameras' pictures are usable."
+    name = diagnosis(fault)[0]
+    return f"It goes on by itself when the {name} {'are' if name == 'cameras' else 'is'} back."
+
+
 def no_step() -> None:
     """Nothing more is done."""
 
@@ -90,20 +104,25 @@ def wait_for(
     say: Callable[[str], None],
 ) -> None:
     """Until ``attempt`` passes. Raises ``fault`` after ``patience_s``, and what ``wait`` raises.
-    What else keeps the instrument away than a link without an answer is said, once each.
+    What else keeps the instrument away than a link without an answer is said, once each: figures
+    that differ are no other reason.
     """
-    started_s, said = now(), str(fault)
+    started_s, said = now(), _reason(fault)
     while True:
         try:
             attempt()
             return
         except InstrumentError as why:
-            if not isinstance(why, LinkError) and str(why) != said:
-                said = str(why)
-                say(said)
+            if not isinstance(why, LinkError) and _reason(why) != said:
+                said = _reason(why)
+                say(str(why))
         if now() - started_s >= patience_s:
             raise fault
         wait(EVERY_S)
+
+
+def _reason(fault: InstrumentError) -> str:
+    return re.sub(r"[\d.]+( tr(y|ies)\b)?", "", str(fault))
 
 
 TRIES = 10  # of one piece of work outside of a run: a person is there each time, who can end it
@@ -169,8 +188,7 @@ class Reconnecting:
             self.say(f"{fault}\n{self.kept}")
             self.ask(Task(BLOCKED))
         else:
-            back = f"It goes on by itself when the {name} {are} back."
-            self.say(f"{fault}\n{policy.check} {self.kept} {back}")
+            self.say(f"{fault}\n{policy.check} {self.kept} {goes_on(fault)}")
         wait_for(ready, fault, self.away_s, self.clock.now, self.clock.sleep, self.say)
         homed = "" if name == "cameras" else ", and homed again"
         self.say(f"The {name} {are} back{homed}.")

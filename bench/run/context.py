@@ -18,7 +18,7 @@ from bench.record.writer import Store
 from bench.results.headline import AFTER_RUN
 from bench.results.status import GOING_TO_SAFE, InstrumentStatus, Link, OpenPrompt, RunStatus, Safe
 from bench.rig.by_hand import BY_HAND
-from bench.rig.devices import Devices
+from bench.rig.devices import Devices, Evidence
 from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
@@ -225,6 +225,7 @@ class RunContext:
             tripped=tripped,
             last_error=events.error,
             emulated=self.rig.rig.partly_emulated,
+            rig=self.rig.rig.name,
             wall_time=wall_time().isoformat(timespec="milliseconds"),
         )
         return replace(status, next=(*status.unsafe, *self._next(status)))
@@ -276,7 +277,9 @@ class RunContext:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last and name in devices.active:
                 last += f", {self.watch.course}"
-        if found and not found.is_safe and acts in BY_HAND:
+        # what was told to stop is asked again on the way to safe: until then nobody has to act
+        final = found and (self.made_safe or found.evidence is not Evidence.SENT)
+        if found and final and not found.is_safe and acts in BY_HAND:
             how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST
         if found and (safe is Safe.AT_REST or not found.is_safe):

@@ -26,8 +26,10 @@ from bench.rig.reconnecting import (
     REFUSES,
     Policy,
     diagnosis,
+    goes_on,
     reach_arm,
     reach_stage,
+    to_check,
     wait_for,
 )
 from bench.run.context import RunContext
@@ -46,6 +48,7 @@ from textfiles.text import in_command
 from textfiles.whole import refusal
 
 HOW = {GONE: "no answer", GARBLED: "no usable answer", REFUSES: "it refuses", "": "at fault"}
+NO_PICTURES = "no usable pictures"
 HOMING = "Keep your hands off the stage, it homes. The run then goes on by itself."
 # while a run is being prepared: nothing is lost yet, and it may be another device altogether
 PREPARING_S = 20.0
@@ -89,8 +92,8 @@ class Recovery:
         ctx, (name, kind) = self._ctx, diagnosis(fault)
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
-        ctx.away, ctx.away_how = name, HOW[GARBLED if (name, kind) == PICTURES else kind]
-        ctx.check_away = f"{policy.check} It goes on by itself when the {name} {are} back."
+        ctx.away, ctx.away_how = name, NO_PICTURES if (name, kind) == PICTURES else HOW[kind]
+        ctx.check_away = f"{to_check(fault, policy)} {goes_on(fault)}"
         started_s, patience_s = ctx.clock.now(), self._patience_s
         if ctx.states.current is RunState.PREPARING:
             patience_s = min(patience_s, PREPARING_S)
@@ -98,7 +101,9 @@ class Recovery:
             ctx.ask(Release(lost=True))
         with ctx.states.during(RunState.PAUSED):
             ctx.event("dropped out", f"{what}: {fault} ({count})")
-            ctx.events.warn(f"{fault}\nThe run is paused. {ctx.check_away}")
+            check = to_check(fault, policy)
+            first = "" if check == fault.hint else f"{check} "  # which the fault has said
+            ctx.events.warn(f"{fault}\nThe run is paused. {first}{goes_on(fault)}")
             try:
                 attempt = partial(self._attempt, name)
                 wait_for(attempt, fault, patience_s, ctx.clock.now, ctx.wait, ctx.events.warn)

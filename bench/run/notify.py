@@ -38,7 +38,9 @@ def text_of(kind: str, status: RunStatus | None) -> tuple[str, str] | None:
     else:
         by_detector = [f"{name}: {verdict}" for name, verdict in status.verdicts.items()]
         lines += [status.mark, *by_detector, status.why, *status.next]
-    return f"{status.title}: {kind}", "\n".join(line for line in lines if line)
+    where = f" ({status.rig})" if status.rig else ""  # another rig may run the same script
+    title = " ".join(f"{status.title}{where}: {kind}".split())  # a mail's subject is one line
+    return title, "\n".join(line for line in lines if line)
 
 
 class Notifier:

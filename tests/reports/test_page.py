@@ -14,6 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from markupsafe import escape
 
+from reports import runs
 from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter
 from reports.frames import KNOWN_PLACES, Circle, ImageView, Label, Overlay, Polyline, layers
@@ -35,6 +36,7 @@ from reports.page import (
     Section,
     Table,
     TrialPart,
+    Verdict,
 )
 from reports.render import environment, render
 from reports.sanitize import page_text
@@ -281,8 +283,20 @@ def test_shapes_have_finite_coordinates_and_layers_one_name() -> None:
         layers(views)
 
 
+@pytest.mark.parametrize(
+    ("verdict", "visible", "step"),
+    [("met", 8, "75 %"), ("tripped", 8, "tripped"), ("inconclusive", 0, "inconclusive")],
+)
+def test_a_row_of_runs_has_the_word_of_one_that_was_not_judged(
+    verdict: Verdict, visible: int, step: str
+) -> None:
+    assert runs.Result("a", "1", verdict, visible, 6 * bool(visible), 0, 0.5, 1.0).step == step
+
+
 def test_a_message_s_temperatures_are_written_as_a_page_does_and_a_file_s_own_are_not() -> None:
     said, file = "the bath is at 36.10 degC, above 36 degC", 'unit = "degC"  # 33 degC'
-    assert page_text(said) == "the bath is at 36.10 °C, above 36 °C"
+    shown = page_text(f"{said}; 100 % output, 5% off")
+    assert " ".join(shown.split()) == "the bath is at 36.10 °C, above 36 °C; 100 % output, 5% off"
+    assert shown.count("\N{NO-BREAK SPACE}") == 3, "no line ends within a value"
     made = environment().from_string("{{ said }} {{ file | verbatim }}")
     assert made.render(said=said, file=file) == f"{page_text(said)} {escape(file)}"

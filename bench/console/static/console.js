@@ -41,8 +41,9 @@ function draw(tag, given = {}, ...children) {
   return node;
 }
 const headers = (more = {}) => ({ Authorization: `Bearer ${TOKEN}`, "X-Client": CLIENT, ...more });
-// values as pages write them: messages have degC, which any terminal can show
-const read = (text) => JSON.parse(text.replace(/(\d) degC\b/g, "$1 °C"));
+// values as pages write them: messages have degC, which any terminal can show; a folder's name stays as it is
+const values = (text) => text.replace(/(\d) degC\b/g, "$1 °C").replace(/(\d) (?=%|°C)/g, "$1\u00a0");
+const read = (text) => JSON.parse(text, (key, value) => (typeof value === "string" && !["name", "run"].includes(key) ? values(value) : value));
 async function ask(path, body) {
   const options = body === undefined
     ? { headers: headers() }
@@ -495,7 +496,7 @@ function listed(one) {
       make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
       make("p", { className: "soft" }, `${one.title}; on ${one.rig || "a recording"}`),
       make("p", { className: one.status.state === "running" && !one.status.unsafe.length ? "good" : "" }, one.status.headline),
-      ...one.status.unsafe.map((line) => make("p", { className: "bad" }, line)),
+      ...[...one.status.unsafe, one.status.damage.length ? one.status.why : ""].filter(Boolean).map((line) => make("p", { className: "bad" }, line)),
       make("ul", { className: "chips" }, ...verdicts(one.status))),
     place,
     make("p", { className: "row" },

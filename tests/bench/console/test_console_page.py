@@ -263,12 +263,19 @@ def test_each_state_of_a_run_has_its_lines(tmp_path: Path) -> None:
     folders = {state: stopped(state, tmp_path / state) for state in (*ENDED, State.RUNNING)}
     runs.mkdir()
     running = [one.rename(runs / state) for state, one in folders.items()][-1]
+    damaged = shutil.copytree(runs / State.ABORTED, runs / "at 33 degC, 5 %")
+    with closing(sqlite3.connect(damaged / DATABASE)) as db, db:
+        db.execute("UPDATE events SET text = 'nothing' WHERE rowid = 1")
     with served.console(runs, tmp_path) as one, browser_page() as seen:
         page = seen.page
         page.context.set_offline(False)
         page.goto(one.address)
         page.goto(one.address)  # once more in the same tab
         expect(page.locator("#list")).to_contain_text("interrupted", timeout=SOON_MS)
+        expect(page.locator("#list")).to_contain_text("The record is NOT as it was written")
+        page.get_by_role("link", name=damaged.name).click()
+        expect(page.locator("#doing")).to_contain_text("No verdict", timeout=SOON_MS)
+        page.evaluate("() => { location.hash = ''; }")
 
         def says(*lines: str) -> None:
             for name, line in zip(("#doing", "#step", "#gate"), lines, strict=True):

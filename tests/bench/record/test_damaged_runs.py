@@ -16,9 +16,11 @@ from pathlib import Path
 import pytest
 from junitparser import Error, JUnitXml
 
+import bench
 from bench import DamagedError, write_report
 from bench.api.records import DAMAGED
 from bench.cli.main import main
+from bench.console.watching import listed, reported
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
@@ -287,6 +289,23 @@ def test_a_refused_report_withdraws_the_one_before(run: Path, tmp_path: Path, sa
     assert NOT_AS_WRITTEN in summary.read_text(encoding="utf-8")
     with pytest.raises(DamagedError):
         write_report(run)
+
+
+@pytest.mark.slow
+def test_no_list_leads_to_a_report_of_before_the_damage(run: Path) -> None:
+    def listed_so() -> set[bool]:
+        (card,), (one,) = listed(run.parent), bench.list_runs(run.parent).runs
+        return {card["report"], bool(one.report), reported(run)}
+
+    assert listed_so() == {False}
+    write_report(run)
+    assert listed_so() == {True}
+    sql("UPDATE detections SET wall_seconds = 0.001")(run)
+    assert listed_so() == {False}, "its page says what it said before"
+    teatbench("report {} --no-pdf --despite-damage", run)
+    assert listed_so() == {True}, "its page says that it is damaged"
+    teatbench("report {} --no-pdf", run)
+    assert listed_so() == {False}, "it is withdrawn"
 
 
 @pytest.mark.slow

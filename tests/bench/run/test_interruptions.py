@@ -50,8 +50,17 @@ from instruments.stage.driver import Stage
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.commands import Said
 from tests.bench.fault_catalogue import Bringer, known_to
-from tests.bench.killed_runs import Person, only_run, start
-from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, record_of, run_of, texts
+from tests.bench.killed_runs import Person, Silent, only_run, start
+from tests.bench.operated_runs import (
+    CHECK_POINT,
+    ONE,
+    SCRIPT,
+    STAGE,
+    files,
+    record_of,
+    run_of,
+    texts,
+)
 from tests.bench.small_run import KEPT
 from tests.examples import few
 
@@ -580,6 +589,35 @@ def test_a_camera_that_drops_out_while_the_bench_waits_is_noticed_then(
     ]
     states = [one["text"] for one in read_run(folder).events if one["kind"] == EVENT]
     assert states[:5] == ["preparing", "settling", "paused", "settling", "running"]
+
+
+@pytest.mark.slow
+def test_water_that_is_cold_is_said_once_and_sends_nobody_to_the_cameras(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bath holds a set point at which no teat stands out from the room."""
+    shown, seen, look = Silent(), set[tuple[str, str]](), RunContext.look
+
+    def looked(context: RunContext) -> None:
+        look(context)
+        if context.away:
+            status = context.status()
+            (cameras,) = (one for one in status.instruments if one.name == "cameras")
+            seen.add((cameras.how, status.next[-1]))
+
+    monkeypatch.setattr(RunContext, "look", looked)
+    files(tmp_path, start_c=20.0, script=ONE.replace("set_point_c = 33.0", "set_point_c = 20.5"))
+    _, ending = start(tmp_path, progress=shown)
+    assert ending == "faulted"
+    (said,) = (text for text in shown.warned if "no contrast" in text)  # its figures differ
+    goes_on = "It goes on by itself when the cameras' pictures are usable."
+    fault, _, paused = said.partition("\n")
+    assert "See that the bath is warm" in fault
+    assert paused == f"The run is paused. {goes_on}"
+    ((how, to_do),) = seen
+    assert how == "no usable pictures"
+    assert to_do.startswith("See that the bath is warm")
+    assert to_do.endswith(goes_on)
 
 
 def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(

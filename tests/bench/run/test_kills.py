@@ -134,7 +134,7 @@ class Watch(Bringer):
         for kind, words in ((PROMPTED, status.asked), (TRIPPED, status.tripped)):
             sent = text_of(kind, status) if words or kind == PROMPTED else None
             assert bool(sent) == bool(words)
-            assert not sent or sent[0] == f"{status.title}: {kind}"
+            assert not sent or sent[0] == f"{status.title} ({status.rig}): {kind}"
         if len(self.samples) % SEVERAL == 0:
             assert same(read_status(folder).as_dict()) == same(status.as_dict())
             self.queue = self.queue or queue_of(folder)

@@ -85,6 +85,12 @@ def pool() -> None:
         (PROMPTED, STATUS, "Short: asked", ["Touch teat LF", "running: trial 1 of 3"]),
         (PROMPTED, replace(STATUS, asked=None), None, []),
         (PROMPTED, None, None, []),
+        (
+            TRIPPED,
+            replace(STATUS, title=" Short\nBcc: x", rig="south\n bench"),
+            "Short Bcc: x (south bench): tripped",
+            ["interlock level", f"{BATH.by_hand}: no answer"],
+        ),
         (TRIPPED, STATUS, "Short: tripped", ["interlock level", f"{BATH.by_hand}: no answer"]),
         (NOT_SAFE, STATUS, "Short: not safe", [f"{BATH.by_hand}: no answer"]),
         (
@@ -194,7 +200,7 @@ def test_a_run_says_how_it_ended_whatever_an_address_does(
         rig.write_text(rig.read_text(encoding="utf-8") + table, encoding="utf-8")
         assert main(["run", str(tmp_path / "a.toml"), "--rig", str(rig), "--out", str(out)]) == 4
         (ended,) = came.queue
-    assert ended["title"] == "Short: ended"
+    assert ended["title"] == "Short (emulated rig): ended"
     assert ended["message"].startswith("inconclusive: 2 of 2 trials\nthesis: inconclusive\n")
     assert "no message can be sent to" in "".join(capsys.readouterr())
     (folder,) = out.glob("*/run.sqlite")
@@ -212,7 +218,7 @@ def test_a_run_of_a_program_sends_word_and_writes_events_as_a_command_s(tmp_path
         rig.write_text(rig.read_text(encoding="utf-8") + table, encoding="utf-8")
         found = bench.run_script(tmp_path / "a.toml", rig, out=tmp_path / "runs", events=lines)
         (ended,) = came.queue
-    assert ended["title"] == "Short: ended"
+    assert ended["title"] == "Short (emulated rig): ended"
     written = list(read_events(found.folder))
     own = [json.loads(line) for line in lines.read_bytes().splitlines()]
     assert [one for one in own if one["what"] == "trial"] == [
@@ -230,7 +236,7 @@ def test_the_last_word_of_a_queue_names_each_run(tmp_path: Path) -> None:
     with phone() as (url, came):
         assert main(["run", *map(str, scripts), *how, "--notify", url]) == 4
         (ended,) = came.queue
-    assert ended["title"] == "Queue: ended"
+    assert ended["title"] == "Queue (emulated rig): ended"
     queue, *runs = ended["message"].split("\n\n")
     assert queue == "Queue: ended: 2 of 2 scripts finished"
     for text, script in zip(runs, scripts, strict=True):

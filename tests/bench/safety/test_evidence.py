@@ -11,17 +11,21 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from bench.record.reader import read_run
-from bench.rig.devices import Evidence, attempt
+from bench.rig.by_hand import BY_HAND
+from bench.rig.devices import Evidence, Safing, attempt
 from bench.rig.leaving import NotSafeError
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
+from bench.run.context import RunContext
 from bench.safety.bath_monitor import held
 from instruments.bath.profile import load_profile
-from instruments.clock import RealClock
+from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError
 from instruments.link import Link
 from instruments.stage.driver import Stage
@@ -104,6 +108,21 @@ def test_amid_a_question_of_its_owner_the_brake_is_sent_and_not_acknowledged() -
         owner.join()
         assert (found.is_safe, found.texts) == (False, [said])
         assert held(stage).is_safe, "and once the owner is through, it is asked"
+
+
+@pytest.mark.parametrize("evidence", [Evidence.SENT, Evidence.FAILED])
+def test_what_was_told_to_stop_is_nobodys_to_switch_off_while_the_run_goes_to_safe(
+    evidence: Evidence,
+) -> None:
+    devices = SimpleNamespace(
+        safed={"stage": Safing("stage", evidence)}, heard={}, active=set(), arm=None
+    )
+    run: Any = SimpleNamespace(devices=devices, clock=VirtualClock(), last={}, away="")
+    run._camera_gone, run.made_safe = "", False
+    shown = RunContext._instrument(run, "stage")
+    assert (shown.safe, bool(shown.by_hand)) == (evidence.value, evidence is Evidence.FAILED)
+    run.made_safe = True
+    assert RunContext._instrument(run, "stage").by_hand == BY_HAND["stage"]
 
 
 def test_an_alarm_of_before_is_no_word_of_a_stage_that_has_gone() -> None:
