@@ -23,7 +23,6 @@ _UNSAFE = re.compile(
     r"\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\U000e0000-\U000e007f]|\r(?!\n)"
 )
 _DEGREES = re.compile(r"(?<=\d )degC\b")
-_KEPT = re.compile(r"(?<=\d) (?=%|°C)")
 # what a spreadsheet takes for the beginning of one (OWASP, CSV Injection)
 _FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
 # the program's own, to write over a line and to rub out a letter: as a whole write, never within
@@ -37,10 +36,8 @@ def sanitized(text: str) -> str:
 
 
 def page_text(text: str) -> str:
-    """``text``, sanitized; values in °C, where messages have degC, which any terminal can show; no
-    line ends between a number and them or a "%".
-    """
-    return _KEPT.sub("\N{NO-BREAK SPACE}", _DEGREES.sub("°C", sanitized(text)))
+    """``text``, sanitized; values in °C, where messages have degC, which any terminal can show."""
+    return _DEGREES.sub("°C", sanitized(text))
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:

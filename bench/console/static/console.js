@@ -42,7 +42,7 @@ function draw(tag, given = {}, ...children) {
 }
 const headers = (more = {}) => ({ Authorization: `Bearer ${TOKEN}`, "X-Client": CLIENT, ...more });
 // values as pages write them: messages have degC, which any terminal can show; a folder's name stays as it is
-const values = (text) => text.replace(/(\d) degC\b/g, "$1 °C").replace(/(\d) (?=%|°C)/g, "$1\u00a0");
+const values = (text) => text.replace(/(\d) degC\b/g, "$1 °C");
 const read = (text) => JSON.parse(text, (key, value) => (typeof value === "string" && !["name", "run"].includes(key) ? values(value) : value));
 async function ask(path, body) {
   const options = body === undefined

@@ -84,7 +84,6 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     assert (ideal["success"]["p_value"], ideal["new"]["missed"]) == (1.0, 0)
     assert overlapping["new"]["missed"] == 12
     html = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
-    html = html.replace("\N{NO-BREAK SPACE}", " ")
     assert "in overlapping teats the share of right scenes fell by 30.0 % points" in html
     assert not re.search(r"\bposes?\b", html + told + met.out, re.IGNORECASE)
     far = written(tmp_path / "far", off_mm=0.9)

@@ -213,8 +213,7 @@ POINTS = tomllib.loads((ROOT / "tests/data/report_points.toml").read_text(encodi
 
 @pytest.mark.parametrize("chapter", POINTS)
 def test_the_report_has_every_point(document: Document, chapter: str) -> None:
-    whole = document.by_id(chapter).text.lower()
-    said = "\n".join((whole, whole.replace("\N{NO-BREAK SPACE}", " ")))
+    said = document.by_id(chapter).text.lower()
     assert [words for words in POINTS[chapter] if words.lower() not in said] == []
 
 
