@@ -99,9 +99,8 @@ class ArmSession:
             self.trying.go(step)
         self.operator.ask(Task(step.text, pedal=True))
 
-    def homed_again(self, reach: Callable[[], object]) -> None:
-        """Have ``reach`` do it, and count it. Raises as it."""
-        reach()
+    def count_homing(self) -> None:
+        """The arm was homed once more."""
         self.homings += 1
 
     def say(self, text: str) -> None:
@@ -390,8 +389,8 @@ def read_touch(session: ArmSession, step: Step) -> Reading:
             session.trying.rest()
         session.operator.ask(request)
 
-    again = Reconnecting.of_arm(session.arm, ask, session.clock, session.say, session.away_s)
-    again.ready = {"arm": partial(session.homed_again, again.ready["arm"])}
+    who = session.arm, ask, session.clock, session.say, session.away_s
+    again = Reconnecting.of_arm(*who, homed=session.count_homing)
     while True:
         try:
             reading = again.keep(touched)

@@ -115,11 +115,11 @@ def is_loss(fault: InstrumentError) -> bool:
     return diagnosis(fault)[1] in (GONE, GARBLED)
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Reconnecting:
-    """Waits outside of a run for what drops out, ``away_s`` each time. ``ready``: by name, makes an
-    instrument ready again, or raises while it is away; ``ask`` and ``say`` speak to the person,
-    ``kept`` says that nothing is lost.
+    """Waits outside of a run for an instrument that drops out, ``away_s`` each time. ``ready``, by
+    the instrument's name, makes it ready again, and raises while it is away. ``ask`` and ``say``
+    reach the person; ``kept`` is the sentence that nothing is lost.
     """
 
     ready: Mapping[str, Callable[[], object]]
@@ -137,12 +137,22 @@ class Reconnecting:
         clock: Clock,
         say: Callable[[str], None],
         away_s: float,
+        *,
         stage: Stage | None = None,
+        look: Callable[[], object] | None = None,
+        homed: Callable[[], None] = no_step,
     ) -> Reconnecting:
-        """For an arm, and the stage where there is one."""
-        ready: dict[str, Callable[[], object]] = {"arm": partial(reach_arm, arm, ask)}
-        if stage is not None:
-            ready["stage"] = partial(reach_stage, stage)
+        """For an arm, and for a stage and cameras where they are given. ``look`` raises while the
+        cameras are away; ``homed`` is called each time the arm was homed again.
+        """
+
+        def ready_arm() -> None:
+            reach_arm(arm, ask)
+            homed()
+
+        ready: dict[str, Callable[[], object]] = {"arm": ready_arm}
+        ready |= {"stage": partial(reach_stage, stage)} if stage else {}
+        ready |= {"cameras": look} if look else {}
         return cls(ready, ask, clock, say, away_s)
 
     def keep(self, work: Callable[[], Done]) -> Done:

@@ -8,7 +8,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import InitVar, dataclass, field, replace
-from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +52,6 @@ from bench.truth.touching import (
     Toucher,
     TrialTruth,
     astray_text,
-    end_u_mm,
     truth_row,
 )
 from bench.truth.uncertainty import TrueEnd, TruthMethod
@@ -170,9 +168,6 @@ def _made(
             phantom,
             poses,
             teat=teat,
-            u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.each), settings.repeatability_mm),
-            made=wall_time().replace(microsecond=0),
-            serial_number=ctx.devices.arm.identity.serial_number,
             report=report,
         )
     except RegistrationError as error:
