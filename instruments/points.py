@@ -137,8 +137,8 @@ class PointArm:
         self._open = self._ready = False
         self._operator: Operator | None = None
 
-    def asked_of(self, operator: Operator | None) -> None:
-        """Have ``operator`` touch; with a console a new row is as good as Enter."""
+    def use_operator(self, operator: Operator | None) -> None:
+        """Have ``operator`` touch; at a console a new row counts as Enter."""
         self._operator = operator
         if isinstance(operator, PromptedOperator) and self._path is not None:
             operator.before_touch = self._pass_over
@@ -254,7 +254,7 @@ class PointArm:
     # The file
 
     def _pass_over(self) -> None:
-        """A touch is asked for: points that are there already are of none."""
+        """Pass over the points that are there before a touch is asked for."""
         with suppress(InstrumentError):  # reading raises it
             new = self._new_rows()
             self._taken += new

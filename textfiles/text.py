@@ -101,6 +101,16 @@ def full_stop(text: str) -> str:
     return text if text.endswith((".", "?", "!")) else f"{text}."
 
 
+def capital(text: str) -> str:
+    """``text`` with a capital letter at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
+def sentence(text: str) -> str:
+    """``text`` with a capital letter at its beginning and a full stop."""
+    return capital(full_stop(text))
+
+
 def in_command(path: object) -> str:
     """As one word of a command: in quotes where it needs them, at POSIX shells and Windows's."""
     text = str(path)

@@ -40,7 +40,7 @@ from bench.safety.bath_monitor import NO_GUARDIAN
 from instruments.clock import wall_time as now
 from instruments.operators.mailbox import FOLDER, read_prompt
 from instruments.operators.operator import time_left
-from textfiles.text import in_command, plural, time_text
+from textfiles.text import in_command, plural, sentence, time_text
 
 VERSION = 1  # of `RunStatus.as_dict`
 LIVE, RUN_JSON = "live.json", "report/run.json"
@@ -358,7 +358,7 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
     if state is State.RUNNING and not run.damage:
         return replace(status, why=why, next=status.next or (then,))
     if not run.damage and (said := _safety(run, status)):
-        return replace(status, why=f"{why} {said[0].upper()}{said[1:]}.", next=(then,))
+        return replace(status, why=f"{why} {sentence(said)}", next=(then,))
     look = () if run.damage or run.facts.get("kind") == "recorded" else _look(status)
     return replace(status, why=why, next=(*status.unsafe, *look, then))
 

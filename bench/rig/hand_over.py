@@ -3,9 +3,9 @@ one takes the bath over.
 
 Each bath has two file locks of the system, in a folder of this machine. A guardian holds ``owner``;
 one that waits for the bath holds ``next``. A guardian that acts for a bench that is gone looks
-whether ``next`` is held, says in its record that it hands over, and ends. That its lock is free is
-its word: the system frees a lock with its process and never before. One that does not answer is
-ended; one whose bench lives keeps the bath.
+whether ``next`` is held, writes into its record that it hands over, and ends. A free lock shows
+that it has ended: the system frees a lock with its process and never before. One that does not
+answer is ended; one whose bench lives keeps the bath.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""An instrument that drops out and comes back: which one a fault speaks of and in what way, what a
+"""An instrument that drops out and comes back: which one a fault is of and of what kind, what a
 person checks then, how it is reached and homed again, and the wait for it. A run waits as
-`bench.run.interruptions` says; outside of a run `Reconnecting` waits for an arm or a stage.
+`bench.run.interruptions` says; outside of a run `Reconnecting` waits.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ def wait_for(
     wait: Callable[[float], None],
     say: Callable[[str], None],
 ) -> None:
-    """Until ``attempt`` passes. Raises ``fault`` after ``patience_s``, and what ``wait`` raises.
-    What else keeps the instrument away than a link without an answer is said, once each.
+    """Wait until ``attempt`` passes. Raises ``fault`` after ``patience_s``, and what ``wait``
+    raises. ``say`` gets each new reason but a link without an answer.
     """
     started_s, said = now(), str(fault)
     while True:
@@ -165,9 +165,9 @@ class Reconnecting:
         return work()
 
     def wait(self, fault: InstrumentError) -> None:
-        """Until what ``fault`` speaks of is ready again; a stage that refuses is looked at by the
-        person first. Raises ``fault`` where it stays away, and one that is no loss of what there
-        is; OperatorAbort.
+        """Wait until the instrument of ``fault`` is ready again; a person looks at a stage that
+        refuses first. Raises ``fault`` where it stays away, and one that is no loss of an
+        instrument in ``ready``; OperatorAbort.
         """
         name, how = diagnosis(fault)
         jammed = (name, how) == ("stage", REFUSES)

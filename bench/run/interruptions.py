@@ -42,7 +42,7 @@ from instruments.operators.operator import (
     OperatorSkip,
     Release,
 )
-from textfiles.text import in_command
+from textfiles.text import in_command, sentence
 from textfiles.whole import refusal
 
 HOW = {GONE: "no answer", GARBLED: "no usable answer", REFUSES: "it refuses", "": "at fault"}
@@ -111,7 +111,7 @@ class Recovery:
             note = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
             note += ", homed again" if name in ("arm", "stage") else ""
             ctx.event(BACK, f"{note}; done again from its start: {what}")
-            ctx.events.warn(f"{note[0].upper()}{note[1:]}. The run goes on.")
+            ctx.events.warn(f"{sentence(note)} The run goes on.")
         self._missing, ctx.away = None, ""
 
     def _attempt(self, name: str) -> None:
@@ -132,7 +132,7 @@ class Recovery:
                     devices.cameras.reopen()
                 ctx.long("looking at the cameras", CAPTURE_S, silent=True)
                 self._look()
-                devices.heard[name] = ctx.clock.now()
+                devices.answered_s[name] = ctx.clock.now()
             else:
                 devices.bath.read()  # its driver connects again by itself
         except InstrumentError:

@@ -23,17 +23,17 @@ class Reserve:
         self._path = folder / RESERVE
 
     def keep(self) -> None:
-        """Take the room; where there is none left, there is none to keep."""
+        """Take the room; without an error where the disk has none."""
         with suppress(OSError):
             self._path.write_bytes(b"\1" * BYTES)
 
     def give_back(self) -> None:
-        """Let it go but for its first block; once more is no error."""
+        """Free all but the first block; once more is no error."""
         with suppress(OSError):
             os.truncate(self._path, min(BLOCK, self._path.stat().st_size))
 
     def end(self) -> None:
-        """Nothing is left of it; once more is no error."""
+        """Remove it; once more is no error."""
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
 

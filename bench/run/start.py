@@ -87,7 +87,7 @@ from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
-from textfiles.text import named, plural
+from textfiles.text import named, plural, sentence
 from textfiles.whole import refusal, remove_empty
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
@@ -462,7 +462,7 @@ def _guarded_instruments(
             if client.taken_from:
                 text = f"{client.taken_from}; this session has the bath now"
                 store.event(None, "guardian", text, wall_time())
-                events.warn(f"{text[0].upper()}{text[1:]}.")
+                events.warn(sentence(text))
             return client
 
         bath, guardian = rig.rig.bath, None

@@ -337,7 +337,7 @@ class TrialRun:
         notes = list[str]()
         while True:
             frames = self._capture_settled(trial.id)
-            captured_s = ctx.devices.heard["cameras"] = ctx.clock.now()
+            captured_s = ctx.devices.answered_s["cameras"] = ctx.clock.now()
             if ctx.store.keeps_pictures:
                 ctx.live.frames(frames)
             bath, bath_state = ctx.watch.last, ctx.watch.state

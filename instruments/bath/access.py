@@ -26,6 +26,7 @@ from instruments.errors import (
     ProtocolError,
     hex_bytes,
 )
+from textfiles.text import sentence
 
 POLL_S = 4.0
 NOT_READ = "only written"
@@ -263,7 +264,7 @@ class Access(ABC, Generic[R]):
     def not_met(self, row: Quantity, other: Quantity, label: str, seen: float) -> DeviceError:
         """The error of ``row``, which needs ``label`` of a row that shows ``seen``."""
         what = f"the {row.name} needs {other.name} = {label}"
-        hint = f"{other.meaning[:1].upper()}{other.meaning[1:]}. " if other.meaning else ""
+        hint = f"{sentence(other.meaning)} " if other.meaning else ""
         hint += "Change it at the controller."
         return DeviceError(self.who, what, asked=other.name, seen=other.label(seen), hint=hint)
 

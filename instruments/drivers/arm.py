@@ -69,7 +69,7 @@ class PluggedArm(Plugged):
     def live(self) -> bool:
         return self._identity is not None
 
-    def asked_of(self, operator: object) -> None:
+    def use_operator(self, operator: object) -> None:
         """It asks nobody."""
 
     def record(self) -> dict[str, object]:
@@ -161,7 +161,7 @@ class PluggedArm(Plugged):
         try:
             self._stop()
         except InstrumentError:
-            self._border.forget()  # another link may be heard
+            self._border.forget()  # another link may answer
             self._stop()
         self.moves = False
 

@@ -25,8 +25,8 @@ __all__ = ["Arm", "Bath", "Cameras", "Stage"]
 
 class Arm(Protocol):
     """A measuring arm. ``touches``: it goes to a point by itself; ``moves``: by a call of ours, and
-    no stand was read back since; ``pedals``: it has some, which `buttons` shows. `asked_of` names
-    whom it may ask.
+    it was not read back at rest since; ``pedals``: it has some, which `buttons` shows.
+    `use_operator` names the operator that it may ask.
     """
 
     who: str
@@ -52,7 +52,7 @@ class Arm(Protocol):
     @property
     def warnings(self) -> tuple[str, ...]: ...
 
-    def asked_of(self, operator: Operator | None) -> None: ...
+    def use_operator(self, operator: Operator | None) -> None: ...
     def record(self) -> dict[str, object]: ...
     def sign_on(self) -> Identity: ...
     def recover(self, timeout_s: float = 30.0) -> Identity: ...

@@ -150,7 +150,7 @@ class PluggedStage(Plugged, StageCalls):
             self.brake()
             self.stands()
         except InstrumentError:
-            self._border.forget()  # another link may be heard
+            self._border.forget()  # another link may answer
             self.brake()
             self.stands()
         self._move, self.moves = None, False

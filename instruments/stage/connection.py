@@ -63,8 +63,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def whole(question: Callable[P, R]) -> Callable[P, R]:
-    """A method of `Dialogue` that no other thread's question interrupts."""
+def uninterrupted(question: Callable[P, R]) -> Callable[P, R]:
+    """A method of `Dialogue` that waits for other threads' questions, and lets none in between."""
 
     @wraps(question)
     def asked(*given: P.args, **more: P.kwargs) -> R:
@@ -76,7 +76,9 @@ def whole(question: Callable[P, R]) -> Callable[P, R]:
 
 
 class TurnLock:
-    """Whose turn it is to ask. Reentrant, and taken by `with` alone: an interrupt keeps none."""
+    """A lock for one question at a time. Reentrant; an interrupt leaves none taken, since only
+    `with` takes it.
+    """
 
     def __init__(self) -> None:
         self._asking = threading.RLock()
@@ -85,7 +87,7 @@ class TurnLock:
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Wait for the turn, and have it meanwhile."""
+        """Wait for the lock, and hold it."""
         with self._next:
             pass
         with self._asking:
@@ -135,7 +137,7 @@ class Dialogue:
         self._inbox: deque[Response] = deque()
         self._offset: Position | None = None
 
-    @whole
+    @uninterrupted
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         """Send a line and wait for its ``ok``; what was pushed meanwhile."""
         data = encode(text, who=self.who)
@@ -157,7 +159,7 @@ class Dialogue:
                 raise DeviceError(self.who, what, asked=text, hint=hint)
             pushed.append(answer)
 
-    @whole
+    @uninterrupted
     def status(self) -> Status:
         """A fresh status report; asked for again after an alarm, as a restarting board loses it."""
         self.wait(0.0)
@@ -240,27 +242,27 @@ class Dialogue:
         self.write(HOLD)
 
     def cancel_jog(self) -> None:
-        """Brake, and forget the rest of a jog."""
+        """Brake, and drop the rest of a jog."""
         self.write(JOG_CANCEL)
 
     def abort(self) -> None:
         """Stop whatever it does, homing too; the position is lost. Raises LinkError."""
         self.restart()
 
-    @whole
+    @uninterrupted
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises at once for an alarm, a restart or a malformed answer."""
         wait = self._link.reception(self._clock.now() + seconds)
         while self._next(wait) is not None:
             pass
 
-    @whole
+    @uninterrupted
     def start(self) -> Welcome:
         """On a new link: wait for the welcome after the port's reset, or reset the board."""
         self.upsets += 1
         return self._welcome() or self.restart()
 
-    @whole
+    @uninterrupted
     def restart(self) -> Welcome:
         """Soft reset: drop outstanding answer, alarm and input. Raises LinkError, ProtocolError."""
         self.upsets += 1
@@ -310,13 +312,13 @@ class Dialogue:
         return welcome
 
     def _forget(self) -> None:
-        """Whatever was outstanding, kept or half received."""
+        """Drop what is outstanding, kept or half received."""
         self._decoder, self._offset = Decoder(self._parse), None
         self.alarm = self.outstanding = None
         self._inbox.clear()
 
     def _check(self, text: str) -> None:
-        """Nothing is sent over an alarm or an open question."""
+        """Raise where an alarm or an open question forbids a further line."""
         if self.alarm is None:
             self.wait(0.0)
         if self.alarm is not None:
