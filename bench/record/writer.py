@@ -1,7 +1,7 @@
 """The one writer of a run folder. Each write is one synced transaction and one link of the chain.
 
-A finished, skipped or checked trial is durable when its call returns, with all that was said
-before. So are events and facts, but for those within ``step``: they are durable when the step or
+A finished, skipped or checked trial is durable when its call returns, with all rows before it. So
+are events and facts, but for those within ``step``: they are durable when the step or
 `flush` ends, which has to come before a physical action counts as done. Events of `URGENT` kinds
 never wait. Bath readings wait for the next write, at most `FLUSH_EVERY` of them. A frame's file and
 folder are synced before its row is written.
@@ -155,14 +155,14 @@ class Store:
         self._add_row("bath", row, urgent=False)
 
     def flush(self) -> None:
-        """Make durable all that was said so far."""
+        """Make durable all rows so far."""
         with self._lock:
             if self._waiting:
                 self._write([])
 
     @property
     def unwritten(self) -> list[Row]:
-        """The events that were said and are not on the disk yet."""
+        """The events that are not on the disk yet."""
         with self._lock:
             return [row for table, row in self._waiting if table == "events"]
 
@@ -254,8 +254,8 @@ class Store:
                 self._write([])
 
     def _write(self, tables: Tables) -> None:
-        """Write what waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error;
-        what was said goes on waiting, unless a row is wrong.
+        """Write the rows that wait and ``tables``, all or nothing, durable on return. Raises
+        sqlite3.Error; the rows go on waiting then, unless one is wrong.
         """
         with self._lock:
             waiting: dict[str, list[Row]] = {}

@@ -1,4 +1,4 @@
-"""What a run's record comes to, in sentences, of `status` alone: why, and what to do next."""
+"""Why a run's status is what it is, and what to do next, as sentences for `status`."""
 
 from __future__ import annotations
 

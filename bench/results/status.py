@@ -1,5 +1,5 @@
 """How a run stands at one moment: the one object that terminal, console, list of runs, JUnit,
-report, notifications and JSON show. They take no word on it from anywhere else.
+report, notifications and JSON show. They take it from nowhere else.
 
 A run under way writes it into `console/live.json` in its folder (`RunStatus.as_dict`); a run that
 has ended has it in its record. `read_status` gives either, whoever asks and from which process.
@@ -118,7 +118,7 @@ class InstrumentStatus:
         return f"{self.name}: {SAFE_WORDS[self.safe]}{last}"
 
     def later(self, seconds: float) -> InstrumentStatus:
-        """The same, said so many seconds ago."""
+        """The same, as it reads so many seconds later."""
         return replace(self, age_s=None if self.age_s is None else self.age_s + seconds)
 
 
@@ -266,8 +266,8 @@ class RunStatus:
         return "; ".join(part for part in (self.pose, doing, *parts.values()) if part)
 
     def later(self, folder: Path | None = None) -> RunStatus:
-        """As it reads now where the last word of the bench is of ``wall_time``; ``folder``: the
-        run's, for what to do next.
+        """As it reads now, where the bench wrote it at ``wall_time``; ``folder``: the run's, for
+        what to do next.
         """
         said_s = (now() - datetime.fromisoformat(self.wall_time)).total_seconds()
         age_s = float(max(0, int(said_s)))  # a computer's clock may have been set back
@@ -395,7 +395,7 @@ def under_way(folder: Path) -> bool:
 
 
 def live_status(folder: Path) -> RunStatus | None:
-    """Of a run that is under way, as it said last; None where it has said nothing yet."""
+    """The last status that a run under way has written; None before the first."""
     return _as_asked(live.later(folder), folder) if (live := _live(folder)) else None
 
 
@@ -426,7 +426,7 @@ def _reader(kind: Any) -> TypeAdapter[Any]:
 
 
 def _live(folder: Path) -> RunStatus | None:
-    """What the run in ``folder`` said last of itself."""
+    """The last status that the run in ``folder`` has written."""
     with suppress(OSError, ValueError, LookupError, TypeError):
         found = json.loads((folder / FOLDER / LIVE).read_bytes())
         said: RunStatus = _reader(RunStatus).validate_python(found["status"])

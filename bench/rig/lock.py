@@ -67,7 +67,7 @@ def locked(
 
 
 def _clear(path: Path) -> None:
-    """The folder may be gone meanwhile."""
+    """Empty the text of the lock; its folder may be gone."""
     with suppress(OSError):
         path.write_bytes(b"")
 

@@ -33,8 +33,8 @@ IN_A_TRIAL = (RunState.RUNNING.value, RunState.PAUSED.value)
 
 @dataclass(frozen=True, slots=True)
 class ResumePoint:
-    """What a run left: trials ``done``; ``deaths``: by the number of the last event before each, the
-    trial of it; ``last_s``: the time of its last event or reading.
+    """What a run left: trials ``done``; ``deaths``: by the number of its last event, the trial of
+    each; ``last_s``: the time of its last event or reading.
     """
 
     run: RunRecord

@@ -180,7 +180,7 @@ def run_queue(
 def _of_a_queue(
     run: Callable[[], tuple[Path, RunState]], store: Store, events: Events
 ) -> tuple[Path, RunState]:
-    """A mistake of the bench in one script is not the next one's: its record has it."""
+    """One run of a queue: a mistake of the bench in it does not end the queue."""
     try:
         return run()
     except Exception as error:
@@ -381,7 +381,7 @@ class OpenRig:
 
     @property
     def warm_bath(self) -> object:
-        """As what it left the bath, if it did."""
+        """The script's bath table that the last run left the rig warm with, else None."""
         return self._engine.context.script.script.bath if self._engine and self.is_warm else None
 
     def engine_of(
@@ -394,7 +394,7 @@ class OpenRig:
         left: ResumePoint | None,
         expected: TimeEstimate,
     ) -> Engine:
-        """The engine of a run on this rig. Raises what opening it does."""
+        """The engine of a run on this rig. Raises as opening the rig does."""
         before, self._engine = self._engine, None
         if self._opened is None:
             guarded = _guarded_instruments(self.rig, store, self.how, self.events, left)
@@ -576,7 +576,7 @@ class ScoredFrames:
         return self
 
     def fact(self, name: str, value: Any) -> None:
-        """What else there is to say of the run."""
+        """Write a further fact of the run."""
         self._store.fact(name, value)
 
     def add(

@@ -83,6 +83,8 @@ class _Columns:
 
 
 class _Ends:
+    """Ends of one run, and what each rests on."""
+
     def __init__(self, run: RunRecord, ends: Sequence[End]) -> None:
         self._run = run
         self._trials = [trial for trial, _ in ends]
