@@ -173,7 +173,7 @@ def beside(folder: Path, holds: str, bare: str = "runs") -> str:
 
 @contextmanager
 def wrong_use() -> Iterator[None]:
-    """A ValueError of a room that knows no ConfigError becomes one."""
+    """Turn a ValueError of a room without ConfigError into one."""
     try:
         yield
     except ValueError as error:

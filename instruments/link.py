@@ -1,9 +1,8 @@
 """A byte link to an instrument, by URL. Under virtual time it waits by moving the clock.
 
 ``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are opened by pyserial, each also with
-``?dtr=off&rts=off``. socket://,
-tcp:// and rtu+tcp:// with host:port are opened here: pyserial's own handler reads one
-byte a call and sleeps 0.3 s when it closes.
+``?dtr=off&rts=off``. socket://, tcp:// and rtu+tcp:// with host:port are opened here: pyserial's
+own handler reads one byte a call and sleeps 0.3 s when it closes.
 """
 
 from __future__ import annotations

@@ -121,9 +121,9 @@ def open_arm(
     length_mm: float | None = None,
     operator: Operator | None = None,
 ) -> Iterator[ArmSession]:
-    """The arm at ``port``, signed on; ``homed``, or the ``operator`` is asked (None: whoever is at
-    the terminal). ``on_peg``: it is homed, and False asks for the stylus before. ``length_mm``: an
-    emulated arm's bar. Raises ConfigError.
+    """The arm at ``port``, signed on; unless ``homed``, the ``operator`` is asked (None: a person
+    at the terminal). ``on_peg``: home it now; False: ask for the stylus on its peg before. Of an
+    emulated arm ``length_mm`` is its bar. Raises ConfigError.
     """
     check_within(ABOVE_0, answer_s=answer_s)
     asks = bool(operator or (sys.stdin and sys.stdin.isatty()))

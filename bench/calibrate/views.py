@@ -132,7 +132,7 @@ class BoardViews:
     refused: tuple[RefusedPicture, ...]
 
     def views(self, camera: str) -> list[BoardView]:
-        """What the solver wants of one camera."""
+        """The views of one camera, as the solver takes them."""
         return [
             BoardView(name, self.board.points_mm[found.ids], found.pixels_px)
             for name, found in self.found[camera].items()

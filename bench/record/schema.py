@@ -2,7 +2,7 @@
 
 Columns that begin with ``wall`` hold real time; all others repeat with the seed. ``t_s`` and all
 ``…_s`` are seconds of the bench's monotonic clock, which starts anew with each session: a run that
-was resumed has several. Rows are only ever added, but for ``facts``, where the last word on a key
+was resumed has several. Rows are only ever added, but for ``facts``, where the last value of a key
 holds. A version's text never changes once a bench has written it.
 """
 

@@ -321,7 +321,7 @@ def release_memory() -> None:
 
 
 def _place(folder: Path) -> tuple[tuple[int, int], ...]:
-    """What the system knows the folder and its database by (inodes; file indices on Windows)."""
+    """How the system identifies the folder and its database (inodes; file indices on Windows)."""
     return tuple(
         (found.st_dev, found.st_ino) for found in (folder.stat(), (folder / DATABASE).stat())
     )

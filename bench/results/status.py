@@ -2,7 +2,7 @@
 report, notifications and JSON show. They take it from nowhere else.
 
 A run under way writes it into `console/live.json` in its folder (`RunStatus.as_dict`); a run that
-has ended has it in its record. `read_status` gives either, whoever asks and from which process.
+has ended has it in its record. `read_status` gives either, in any process.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ class RunStatus:
 
     @property
     def at_end(self) -> tuple[InstrumentStatus, ...]:
-        """The instruments once they are let go."""
+        """The instruments as they stand at the end, their links closed."""
         return tuple(replace(one, link=Link.CLOSED) for one in self.instruments)
 
     @property
@@ -364,8 +364,8 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
 
 
 def read_status(folder: Path) -> RunStatus:
-    """Of the run in ``folder``, quickly, for whoever watches: verdicts are those of its report,
-    where that is of the record as it is; a record that was written to since is checked. Raises
+    """The status of the run in ``folder``, read quickly: verdicts are those of its report, where
+    that is of the record as it is; a record that was written to since is checked. Raises
     ConfigError.
     """
     run = read_run(folder, whole=False)

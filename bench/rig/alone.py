@@ -202,8 +202,9 @@ def open_stage(
     dialect: str = "grbl",
     capture: CaptureFile | None = None,
 ) -> Iterator[Stage]:
-    """The stage at ``url`` (what it has of X, Y, Z and A, and speaks: grbl, marlin), or that of
-    ``rig``; connected, in real time, stopped at the end. Raises ConfigError, InstrumentError.
+    """The stage at ``url``, with its ``axes`` of X, Y, Z and A and its ``dialect`` (grbl, marlin);
+    or that of ``rig``. Connected, in real time, stopped at the end. Raises ConfigError,
+    InstrumentError.
     """
     if url:
         _refuse_address("stage", url, stage_url)
@@ -272,7 +273,7 @@ def open_bath(
             rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
         ) as devices,
         lent(cast(Bath, devices.bath), "bath") as bath,
-    ):  # no other speaks profile rows
+    ):  # no plug-in has the rows of a profile
         yield bath
 
 

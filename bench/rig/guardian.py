@@ -46,7 +46,7 @@ from instruments.errors import InstrumentError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
 ACTS = "acts"  # to the bench, which may live after all
-HANG_S = 10.0  # without a word from the bench
+HANG_S = 10.0  # without a line from the bench
 STOPPED_S = 2.0  # without one from a bench that the system has stopped (SIGSTOP, Ctrl-Z)
 LOOK_S = 0.25  # between looks at whether the bench is being ended
 WANTED_S = 0.1  # between looks at whether another guardian waits for the bath
@@ -71,7 +71,7 @@ class Record:
             write_note(self._path, self._facts)
 
     def hand_over(self) -> None:
-        """The last word, and the end of this process, whatever its other thread waits for."""
+        """Write that the bath is handed over, and end this process, whatever its threads do."""
         with self._lock:
             write_note(self._path, self._facts | {"handed_over": _text(wall_time())})
             os._exit(0)
@@ -269,7 +269,7 @@ def _make_safe(
 
     def stand_by() -> None:
         bath.safe()
-        bath.release_watchdog(0.0)  # as it is shipped: nobody asks it from now on
+        bath.release_watchdog(0.0)  # as shipped: no program asks it from now on
 
     def note(said: dict[str, Any]) -> None:
         safe = {} if "error" in said else {"wall_safe": _text(wall_time()), "error": ""}

@@ -198,7 +198,7 @@ class GuardianClient:
                 self._log.unlink()
 
     def _await_ready(self, target: GuardianTarget) -> None:
-        """Its first line. Raises LinkError with its last words where it says anything else."""
+        """Wait for its first line. Raises LinkError with the end of its log if it is not ready."""
         late = not self._said.wait(START_S)
         if self._ready:
             return

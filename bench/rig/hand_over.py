@@ -111,11 +111,11 @@ class BathLock:
         return ended
 
     def acts(self) -> None:
-        """The bench is gone: from here on the bath is handed over to whoever waits for it."""
+        """The bench is gone: from now on the next guardian that waits may have the bath."""
         self._say(acting=True)
 
     def hand_over(self) -> None:
-        """Say so, to whoever waits; the process has to end now."""
+        """Note that the bath is handed over; this process has to end now."""
         self._say(acting=True, **{HANDED_OVER: True})
 
     @property

@@ -148,7 +148,7 @@ class Leaving:
         def feed() -> None:
             if self._left or not bath.heats:
                 return
-            with suppress(InstrumentError):  # for whoever reads it to notice
+            with suppress(InstrumentError):  # the next reading raises it
                 bath.read()
             clock.call_at(clock.now() + seconds / FED_TIMES, feed)
 
@@ -201,7 +201,7 @@ class OpenInstruments(AbstractContextManager[Devices]):
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool | None:
         atexit.unregister(self._at_end)
         if self._leaving and os.getpid() != self._process:
-            return None  # forked from whoever opened them, whose links these are
+            return None  # in a forked process: the links are its parent's
         leaving, self._leaving = self._leaving, None
         unsafe = leaving.leave() if leaving else None
         if unsafe and error:

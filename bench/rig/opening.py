@@ -125,7 +125,7 @@ def open_instruments(
 
     What was made to heat or to move is made safe at the end (NotSafeError where it could not be,
     which ``warn`` gets too), and by a guardian where the process dies. ``leave_running``: it goes
-    on, which is noted beside the rig file; ``supervised``: the caller sees to all that.
+    on, which is noted beside the rig file; ``supervised``: the caller does all of that.
     """
     if twin is None:
         rig.refuse_unfilled(*names)

@@ -384,8 +384,8 @@ class TrialRun:
             self.recorder.trial(trial.id, frames, ends, confirmed=truth.how is TruthMethod.TOUCHED)
 
     def _of_trial(self, there: ExpectedScene) -> tuple[TrialTruth, str]:
-        """The truth, and what speaks against the stage's place. Raises DeviceError, once until
-        there is a truth again, where a blocked carriage may have lost its place.
+        """The truth, and why the stage's place is in doubt, or "". Raises DeviceError where a
+        blocked carriage may have lost its place, once until there is a truth again.
         """
         stage, again, doubt = self.ctx.devices.stage, self._homed_in_vain, ""
         try:

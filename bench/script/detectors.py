@@ -176,7 +176,7 @@ def _make(name: str, folder: Path, gives_up: bool) -> Detector:
     if not command:
         raise ConfigError.plain(f"{EXEC} needs a command, such as {EXEC}python3 my_detector.py")
     _find_program(command[0], Path())
-    # called as the first file among its words after the program, the module after -m, the program
+    # named after the first file behind the program, else the module after -m, else the program
     files = (Path(part).stem for part in command[1:] if Path(part).is_file())
     modules = (part.rpartition(".")[2] for flag, part in pairwise(command) if flag == "-m")
     called = [*files, *modules, Path(command[0]).stem][0]

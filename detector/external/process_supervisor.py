@@ -118,7 +118,7 @@ def _end_all(child: int) -> None:
                 continue
         select.select([], [], [], 0.005)
         _reap(child)
-    try:  # the dead too: whoever inherits them may never take them in
+    try:  # ended ones too: the process that inherits them may never reap them
         while True:
             os.waitpid(-1, 0)
     except ChildProcessError:

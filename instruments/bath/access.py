@@ -1,5 +1,5 @@
-"""A controller's rows over the wire, whatever it speaks: read one by one or in a poll, written on
-change, spaced, and read back.
+"""A controller's rows over the wire, whatever its protocol: read one by one or in a poll, written
+on change, spaced, and read back.
 
 What a protocol has to bring: how a row is asked for (``ask``, ``decode``) and written (``write``),
 how its format is detected and how a poll is fetched.
@@ -83,7 +83,7 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def detect_format(self) -> None:
-        """Learn how the controller speaks. Raises ProtocolError, DeviceError."""
+        """Find the controller's order of bytes, or its model. Raises ProtocolError, DeviceError."""
 
     @abstractmethod
     def first_poll(self) -> BathReading:

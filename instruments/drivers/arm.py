@@ -70,7 +70,7 @@ class PluggedArm(Plugged):
         return self._identity is not None
 
     def use_operator(self, operator: object) -> None:
-        """It asks nobody."""
+        """Does nothing: a plug-in's arm asks no operator."""
 
     def record(self) -> dict[str, object]:
         """What it says of itself."""

@@ -1,4 +1,4 @@
-"""What the bench asks of an open arm, bath, stage and set of cameras, whoever wrote the driver.
+"""The calls of an open arm, bath, stage and set of cameras, the same for every driver.
 
 All calls raise InstrumentErrors alone. Time is the clock's that the driver was made with. `safe`
 may be called at any time, twice, and after a fault; `close` twice.

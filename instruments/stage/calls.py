@@ -1,5 +1,5 @@
-"""What the bench asks of an open stage, whoever wrote the driver, and what all of them do alike:
-who answered, its travel, moves to a place and by so much.
+"""The calls of an open stage, the same for every driver; and what all drivers do alike: identity,
+travel, moves to a place and by so much.
 """
 
 from __future__ import annotations

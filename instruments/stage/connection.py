@@ -54,7 +54,7 @@ from instruments.stage.settings import (
 ANSWER_S = 2.0  # classic boards answer within milliseconds, but writing a setting takes longer
 STATUS_S = 1.0
 START_S = 2.5  # a board's boot loader waits 1 to 2 s after the port has been opened
-BOOT_S = 15.0  # FluidNC talks of its network for so long before its welcome
+BOOT_S = 15.0  # FluidNC reports its network for so long before its welcome
 QUIET_S = 0.25
 ASK_AGAIN_S = 0.25
 LOCKED = frozenset({"Alarm", "Sleep"})
@@ -82,7 +82,7 @@ class TurnLock:
 
     def __init__(self) -> None:
         self._asking = threading.RLock()
-        self._next = threading.RLock()  # held by whoever waits for the turn: locks are not fair
+        self._next = threading.RLock()  # held by a thread that waits: locks are not fair
         self._speaker: int | None = None
 
     @contextmanager
@@ -299,7 +299,7 @@ class Dialogue:
             seen += data
             if welcome := _last_welcome(self._decoder, data):
                 break
-            if b"\n" in data:  # a board that starts talks in lines
+            if b"\n" in data:  # a board that starts sends lines
                 wait.until_s = min(start_s + BOOT_S, self._clock.now() + START_S)
         if welcome is None and seen:
             what, hint = "this is not GRBL: no welcome", "Is this the stage's port, at 115200 baud?"

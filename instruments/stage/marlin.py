@@ -1,10 +1,11 @@
-"""The conversation with Marlin: a line out, ``ok`` back, and chatter between.
+"""The conversation with Marlin: a line out, ``ok`` back, and other lines between.
 
-Marlin says neither whether it is homed nor what it does, and forgets its position without a word
-when it restarts. So the position is read from the step counts (M114), a volatile setting that we
-make unusual is asked back with each report (M113: another value means a restart), and whatever
-stops it or makes no sense costs the position. Sources: Marlin's G-code documentation; its source
-1.1, 2.0 and 2.1 (M113, M114, M115, M211, M503, language.h, e_parser); reports of its users.
+Marlin reports neither whether it is homed nor what it does, and loses its position without a
+message when it restarts. So the position is read from the step counts (M114); a volatile setting is
+given an unusual value and read with each report (M113: another value means a restart); and an
+answer that makes no sense, or a stop, costs the position. Sources: Marlin's G-code documentation;
+its source 1.1, 2.0 and 2.1 (M113, M114, M115, M211, M503, language.h, e_parser); reports of its
+users.
 """
 
 from __future__ import annotations
