@@ -260,6 +260,14 @@ def read_text(path: Path) -> str:
         raise ConfigError.plain(f"{path} can't be read: {why}{_near(path, error)}") from error
 
 
+def read_bytes(path: Path) -> bytes:
+    """The bytes of ``path``. Raises ConfigError when it can't be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
+
+
 def _near(path: Path, error: Exception) -> str:
     """Where a file was looked for that isn't there, and what may have been meant."""
     folder = path.resolve().parent

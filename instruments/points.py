@@ -137,7 +137,7 @@ class PointArm:
         self._open = self._ready = False
         self._operator: Operator | None = None
 
-    def use_operator(self, operator: Operator | None) -> None:
+    def asked_of(self, operator: Operator | None) -> None:
         """Have ``operator`` touch; at a console a new row counts as Enter."""
         self._operator = operator
         if isinstance(operator, PromptedOperator) and self._path is not None:

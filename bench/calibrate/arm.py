@@ -154,7 +154,7 @@ def open_arm(
                 watch = partial(pedal_watch, arm, clock) if arm.pedals else None
                 operator = console = Console(sys.stdin, sys.stdout, clock, watch=watch)
                 console.in_run = False
-            arm.use_operator(operator)
+            arm.asked_of(operator)
             if on_peg is not None and not arm.pedals:
                 what = "only a MicroScribe can be homed: the software of another arm does that"
                 raise ConfigError.plain(what)

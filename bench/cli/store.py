@@ -46,7 +46,7 @@ def check(given: argparse.Namespace) -> int:
     with working("checking the record"):
         done = bench.check_record(given.run, given.digest)
     for finding in done.findings:
-        say(f"{finding.weight.value}: {finding.text}")
+        say(f"{finding.severity.value}: {finding.text}")
     print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
     if done.head.number:
         print(f"digest: {done.head.wall_digest}\ndigest without real time: {done.head.digest}")

@@ -20,7 +20,7 @@ GUARDIAN_FILES = "guardian*.json"
 GUARDIAN_FACT = "wall {}"  # by the file's name, once a session follows
 
 OF_A_TRIAL = ("frames", "touches", "truth", "detections", "found", "scores")
-LATER_WORD = "facts"  # the one table whose rows are written over
+FACTS = "facts"  # the one table whose rows are written over
 
 SCHEMA = """
 CREATE TABLE sessions (number INTEGER PRIMARY KEY, bench TEXT NOT NULL, wall_time TEXT NOT NULL);

@@ -27,8 +27,8 @@ from typing import Any, ClassVar
 from bench.files import Picture, write_pictures, write_synced
 from bench.record.chain import add_link
 from bench.record.reader import TrialRecord, check_version, database_in
-from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, Row, make_tables
-from bench.record.state import NO_ENDING, left_in
+from bench.record.schema import DATABASE, FACTS, OF_A_TRIAL, Row, make_tables
+from bench.record.state import NO_ENDING, end_in_reserve
 from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
 from textfiles.text import in_command
@@ -84,12 +84,12 @@ class Store:
             shutil.rmtree(part)  # of a process that had our number, and died
         with new_folders(folder.parent):
             try:
-                # one floor down: who lists runs doesn't take it for one
+                # one folder down, so that a list of runs doesn't have it
                 session = cls._made(part / folder.name, files)
-                # on Windows who looks through new files, as for viruses, holds their folder
+                # on Windows a virus scanner may hold the folder of new files
                 in_turn(lambda: (part / folder.name).rename(folder))
             finally:
-                # why it could not be made says more than why it can't be cleared away
+                # the error that kept it from being made is the one to raise
                 shutil.rmtree(part, ignore_errors=True)
         return cls(folder, session)
 
@@ -142,7 +142,7 @@ class Store:
     def fact(self, key: str, value: Any) -> None:
         """Write down (or over) something that holds for the whole run; it is kept as JSON."""
         row = {"key": key, "value": json.dumps(value, ensure_ascii=False), "wall_time": self._now()}
-        self._add_row(LATER_WORD, row, urgent=not self._steps)
+        self._add_row(FACTS, row, urgent=not self._steps)
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
         now = wall_time.isoformat(timespec="milliseconds")
@@ -238,11 +238,11 @@ class Store:
         return number
 
     def _left(self, session: int) -> list[Row]:
-        """The events of its end for which there was no room then."""
+        """The events of the end of ``session`` for which there was no room then."""
         query = "SELECT value FROM facts WHERE key = 'ending'"
         (ending,) = self._db.execute(query).fetchone() or (None,)
         no_end = ending is None or json.loads(ending) == NO_ENDING
-        return list(left_in(self.folder, session).get("events", ())) if no_end else []
+        return list(end_in_reserve(self.folder, session).get("events", ())) if no_end else []
 
     def _now(self) -> str:
         return time_of_day().isoformat(timespec="milliseconds")
@@ -279,12 +279,12 @@ class Store:
             spans: dict[str, tuple[int, int]] = {}  # first and last rowid by table
             facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
             for table, rows in tables:
-                verb = "REPLACE" if table == LATER_WORD else "INSERT"
+                verb = "REPLACE" if table == FACTS else "INSERT"
                 for row in rows:
                     marks = ", ".join("?" * len(row))
                     command = f"{verb} INTO {table} ({', '.join(row)}) VALUES ({marks})"
                     at = self._db.execute(command, tuple(row.values())).lastrowid or 0
-                    if table == LATER_WORD:
+                    if table == FACTS:
                         facts[row["key"]] = None
                     else:
                         spans[table] = (spans.get(table, (at, at))[0], at)

@@ -22,7 +22,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from bench.record.state import lives
+from bench.record.state import still_runs
 from instruments.bath.connection import LineError, parse_line
 from instruments.errors import LimitError
 from textfiles.whole import replace_whole
@@ -147,7 +147,7 @@ class BathLock:
             command = psutil.Process(int(holder["pid"])).cmdline() if holder else []
         if MODULE not in " ".join(command):
             raise self._kept("a process that doesn't say who it is holds it")
-        if not holder.get("acting") and lives({"pid": holder["bench"]}):
+        if not holder.get("acting") and still_runs({"pid": holder["bench"]}):
             raise self._kept(f"{_named(holder)} guards it for a bench that lives")
         with suppress(psutil.Error):
             psutil.Process(int(holder["pid"])).kill()

@@ -301,7 +301,7 @@ class _BringUp:
         if answerer:
             answerer.hands = hands
         if arm:
-            arm.use_operator(answerer or hands)
+            arm.asked_of(answerer or hands)
         exact = twin and {"arm", "cameras"} <= set(self.rig.rig.emulated)
         devices = self.clock, arm, one("bath"), one("stage"), one("cameras")
         exact_ends = twin.world.ends_mm if twin and exact else None

@@ -38,7 +38,7 @@ class Reserve:
             self._path.unlink(missing_ok=True)
 
     def leave(self, end: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
-        """What the record has no room for, as `left_in` reads it: of many events the last."""
+        """Write what the record has no room for (see `end_in_reserve`): of many events the last."""
         while len(data := json.dumps({**end, "events": events}).encode()) > BLOCK and events:
             events = events[1:]
         with suppress(OSError), self._path.open("r+b") as file:  # a new file has no room

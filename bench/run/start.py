@@ -19,7 +19,7 @@ from bench.config import ConfigError, parse_config, read_calibration, read_text
 from bench.record.reader import guardian_files, read_run
 from bench.record.recording import Recording, TruthRow
 from bench.record.schema import GUARDIAN, RULES, SCRIPT, Row
-from bench.record.state import left_in, run_lock
+from bench.record.state import end_in_reserve, run_lock
 from bench.record.writer import Store
 from bench.results import health
 from bench.results.answers import Answer, Examiner
@@ -261,8 +261,7 @@ def kind_facts(rig: Rig) -> dict[str, Any]:
 def _begun(held: OpenRig, script: LoadedScript, out: Path, under_test: Sequence[Detector]) -> Store:
     """A new run folder that says what the run is."""
     rig, how = held.rig, held.how
-    files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files}
-    files |= {**script.source_files, "rig.toml": rig.text, SCRIPT: script.text}
+    files = {**rig.files, **script.files, "rig.toml": rig.text, SCRIPT: script.text}
     table, trials = script.script, script.script.trials
     order = pose_set(trials, script.planned, seed=table.seed, order=table.order)
     today = wall_time().date()
@@ -357,7 +356,7 @@ def _close(store: Store) -> None:
     try:
         store.close()
     except sqlite3.OperationalError:
-        if not left_in(store.folder, store.session):
+        if not end_in_reserve(store.folder, store.session):
             raise
 
 

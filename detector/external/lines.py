@@ -93,7 +93,7 @@ def answer_line(frame: str, detection: Detection) -> bytes:
 
 
 def check_ready(line: bytes) -> Ready:
-    """Raises Garbled where the child's first line isn't the one that says it is ready."""
+    """Raises GarbledLine where the child's first line isn't the one that says it is ready."""
     wanted = f"its first line must be {json.dumps(READY)}"
     try:
         said = _object(line)
@@ -114,8 +114,8 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
     """The answer on ``frame``: teats "world_mm" [x, y, z], or "left_px" and "right_px" [column,
     row].
 
-    Pixels are triangulated, unknown keys ignored. Raises Garbled for no answer on this frame,
-    BadAnswer for bad values.
+    Pixels are triangulated, unknown keys ignored. Raises GarbledLine for no answer on this
+    frame, BadAnswer for bad values.
     """
     answer = _object(line)
     if answer.get("frame") != frame:

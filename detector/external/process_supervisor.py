@@ -93,7 +93,9 @@ def _living() -> dict[int, tuple[int, int]]:
 
 
 def _reap(child: int) -> int | None:
-    """Take the dead in; the child's exit code, negative for a signal, once it is among them."""
+    """Reap ended processes; the exit code of ``child``, negative for a signal, if it is one of
+    them.
+    """
     code = None
     try:
         while (found := os.waitpid(-1, os.WNOHANG))[0]:

@@ -69,7 +69,7 @@ class PluggedArm(Plugged):
     def live(self) -> bool:
         return self._identity is not None
 
-    def use_operator(self, operator: object) -> None:
+    def asked_of(self, operator: object) -> None:
         """Does nothing: a plug-in's arm asks no operator."""
 
     def record(self) -> dict[str, object]:

@@ -530,7 +530,7 @@ class MicroScribe:
         """The pedals that are down now, as bits. Raises as ``poll``."""
         return self.poll().buttons
 
-    def use_operator(self, operator: object) -> None:
+    def asked_of(self, operator: object) -> None:
         """Does nothing: this arm asks no operator."""
 
     def touch(self, point_mm: npt.NDArray[np.float64], axis: npt.NDArray[np.float64]) -> None:

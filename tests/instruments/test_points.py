@@ -115,7 +115,7 @@ def test_a_point_from_before_its_prompt_is_of_no_touch(tmp_path: Path) -> None:
             raise AssertionError(text)
 
     person = Person()
-    arm.use_operator(person)
+    arm.asked_of(person)
     add(tmp_path, written[0][0])
     person.ask(CheckPoint(1, 2))
     with pytest.raises(TouchAgainError, match=r"no new point.*; 1 came before it was asked for"):
@@ -216,7 +216,7 @@ def test_typed_points(tmp_path: Path, url: str, answer: str, mm: list[float]) ->
     assert arm.sign_on().serial_number == ("7001" if "7001" in url else "not stated")
     with pytest.raises(InstrumentError, match="there is no terminal to type"):
         arm.read()
-    arm.use_operator(ScriptedAnswers([ScriptedAnswer("coordinates", answer)], {}, "answers.toml"))
+    arm.asked_of(ScriptedAnswers([ScriptedAnswer("coordinates", answer)], {}, "answers.toml"))
     reading = arm.read()
     assert reading.tip_mm == pytest.approx(mm)
     assert (reading.axis is None) == (len(answer.split()) == 3)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from bench.record.chain import Head
-from bench.record.check import PRINTED, Weight, check_record
+from bench.record.check import PRINTED, Severity, check_record
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE, tables_of
 from bench.record.writer import Store
@@ -56,7 +56,7 @@ def run(written: Path, tmp_path: Path) -> Path:
 
 def damages(run: Path, digest: str | None = None) -> list[str]:
     found = check_record(run, digest).findings
-    return [finding.text for finding in found if finding.weight is Weight.DAMAGE]
+    return [finding.text for finding in found if finding.severity is Severity.DAMAGE]
 
 
 def rotten(name: Path | str, at: int) -> Damage:

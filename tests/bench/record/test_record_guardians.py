@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bench.config import ConfigError
-from bench.record.check import Weight, check_record
+from bench.record.check import Severity, check_record
 from bench.record.reader import RunRecord, read_run
 from bench.record.state import State
 from bench.record.writer import Store
@@ -69,17 +69,17 @@ def test_what_the_next_session_found_is_in_the_chain(run: Path) -> None:
     note = (
         "guardian-1.json is in no link of the chain: its guardian wrote it after the bench had died"
     )
-    found = [(one.weight, one.text) for one in check_record(run).findings]
-    assert (Weight.NOTE, note) in found
+    found = [(one.severity, one.text) for one in check_record(run).findings]
+    assert (Severity.NOTE, note) in found
     goes_on(run)
     checked = check_record(run)
     assert checked.whole
     assert note not in [one.text for one in checked.findings]
     write(run, "guardian-1.json", acted(tries=2))
-    damage = [one.text for one in check_record(run).findings if one.weight is Weight.DAMAGE]
+    damage = [one.text for one in check_record(run).findings if one.severity is Severity.DAMAGE]
     assert damage == ["guardian-1.json is not as the next session found it"]
     (run / "guardian-1.json").unlink()
-    damage = [one.text for one in check_record(run).findings if one.weight is Weight.DAMAGE]
+    damage = [one.text for one in check_record(run).findings if one.severity is Severity.DAMAGE]
     assert damage == ["guardian-1.json can't be read: No such file or directory"]
     assert read_run(run).guardians[1]["tries"] == 1, "the record has it still"
 
