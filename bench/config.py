@@ -120,7 +120,8 @@ class Section(BaseModel):
 
 Model = TypeVar("Model", bound=BaseModel)
 Item = TypeVar("Item")
-SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
+SHOWN = 120  # characters of a line of the file, in a message about it
+LONGEST = 2000  # characters of a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,7 +336,9 @@ def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[st
     out = [f"{path}: {plural(len(faults), 'fault')}"]
     for fault in faults:
         note = fault.message
-        out.append(f"{path}:{fault.line}: {note if len(note) <= TOLD else note[:TOLD] + '...'}")
+        out.append(
+            f"{path}:{fault.line}: {note if len(note) <= LONGEST else note[:LONGEST] + '...'}"
+        )
         if fault.width and 0 < fault.line <= len(lines):
             line = lines[fault.line - 1]  # a long one around its column only
             start = max(0, fault.column - SHOWN // 2) if len(line) > SHOWN else 0

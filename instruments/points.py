@@ -42,7 +42,8 @@ FILE, TYPED = "points:", "typed:"
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # in mm
 SPELT = {"in": "inch", "inches": "inch", '"': "inch"}
 ALLOWED = '"points:FILE" or "points:FILE?unit=mm&columns=name,x,y,z&serial=7001", "typed:"'
-WAIT_S, TURN_S = 10.0, 0.2  # for a row after the operator went on; between two looks
+WAIT_S = 10.0  # for a row, once the operator goes on
+TURN_S = 0.2  # between two looks for a row
 BLANK = ' \t;,"\ufeff'  # a row of separators, as spreadsheets end a table
 FARTHEST_MM = 20_000.0  # no arm reaches as far: the unit is wrong
 _HEAD = re.compile(r'([xyzuijk])[ _]*[\[(]?(mm|cm|m|inch(?:es)?|in|")?[\])]?', re.IGNORECASE)

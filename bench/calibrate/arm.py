@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibrate.simulated_arm import Step, TryingArm
+from bench.calibrate.simulated_arm import SimulatedArm, Step
 from bench.config import ConfigError, check_within
 from bench.rig.arm_files import (
     APART_MM,
@@ -86,7 +86,7 @@ class ArmSession:
     arm: Arm
     clock: Clock
     operator: Operator
-    trying: TryingArm | None
+    simulated: SimulatedArm | None
     away_s: float = AWAY_S
     homings: int = 0  # since it was lost
 
@@ -95,8 +95,8 @@ class ArmSession:
 
     def touch(self, step: Step) -> None:
         """Something to be touched; the emulated hand goes there first."""
-        if self.trying:
-            self.trying.go(step)
+        if self.simulated:
+            self.simulated.go(step)
         self.operator.ask(Task(step.text, pedal=True))
 
     def count_homing(self) -> None:
@@ -142,10 +142,10 @@ def open_arm(
         raise ConfigError.plain(f"{port}: {error}") from error
     with ExitStack() as stack:
         clock = stack.enter_context(closing(RealClock()))
-        trying = None
+        simulated = None
         if port == EMULATED:
-            trying = stack.enter_context(TryingArm(clock, length_mm=length_mm or 300.0))
-        url = trying.url if trying else port
+            simulated = stack.enter_context(SimulatedArm(clock, length_mm=length_mm or 300.0))
+        url = simulated.url if simulated else port
         rig = rig_of(arm=ArmTable.model_construct(url=url, baud=baud, answer_s=answer_s))
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
             arm = devices.arm
@@ -165,7 +165,7 @@ def open_arm(
                 arm.home()
             if ask or homed:
                 arm.confirm_homed()
-            yield ArmSession(arm, clock, operator, trying)
+            yield ArmSession(arm, clock, operator, simulated)
 
 
 def today() -> datetime:
@@ -385,8 +385,8 @@ def read_touch(session: ArmSession, step: Step) -> Reading:
         return session.arm.read()
 
     def ask(request: Request) -> None:
-        if session.trying:
-            session.trying.rest()
+        if session.simulated:
+            session.simulated.rest()
         session.operator.ask(request)
 
     who = session.arm, ask, session.clock, session.say, session.away_s

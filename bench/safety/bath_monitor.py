@@ -358,7 +358,7 @@ class TripHandler:
 
 
 def held(stage: Stage) -> Safing:
-    """Whether a stage that was told to brake stands, by its own report."""
+    """Whether a stage that has the order to brake stands, by its own report."""
     shown: list[Status | None] = []
     found = attempt("stage", lambda: shown.append(stage.stands()), "is held")
     if shown == [None]:  # amid a question of the run's own

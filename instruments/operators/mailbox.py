@@ -23,7 +23,8 @@ from instruments.operators import operator as op
 from textfiles.whole import in_turn, replace_whole, sync
 
 FOLDER, PROMPT, ANSWERS = "console", "prompt.json", "answers"
-LONGEST, LONGEST_NUMBER = 1 << 20, 16  # bytes of a file, digits of a number
+LONGEST = 1 << 20  # bytes of a file
+LONGEST_NUMBER = 16  # digits
 TERMINAL, BENCH = "the terminal", "the bench"  # who answered, beside names of browsers
 
 
