@@ -121,7 +121,6 @@ class Section(BaseModel):
 Model = TypeVar("Model", bound=BaseModel)
 Item = TypeVar("Item")
 SHOWN = 120  # characters of a line of the file, in a message about it
-LONGEST = 2000  # characters of a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,10 +334,7 @@ def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[st
         return [fault.message for fault in faults]
     out = [f"{path}: {plural(len(faults), 'fault')}"]
     for fault in faults:
-        note = fault.message
-        out.append(
-            f"{path}:{fault.line}: {note if len(note) <= LONGEST else note[:LONGEST] + '...'}"
-        )
+        out.append(f"{path}:{fault.line}: {short(fault.message, 2000)}")
         if fault.width and 0 < fault.line <= len(lines):
             line = lines[fault.line - 1]  # a long one around its column only
             start = max(0, fault.column - SHOWN // 2) if len(line) > SHOWN else 0

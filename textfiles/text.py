@@ -128,9 +128,9 @@ def one_command(words: Iterable[str]) -> str:
     return shlex.join(words)
 
 
-def short(text: str) -> str:
-    """``text`` as far as it has room in a message."""
-    return text if len(text) <= 60 else text[:57] + "..."
+def short(text: str, most: int = 60) -> str:
+    """``text`` for a message: cut to ``most`` characters."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def time_text(seconds: float) -> str:

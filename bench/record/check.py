@@ -203,9 +203,7 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
 
 
 def _guardians(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
-    """What guardians wrote has to be what the next session found; after the last session nothing
-    tells what its guardian wrote.
-    """
+    """What a guardian wrote has to be what the next session found; the last one's isn't checked."""
     there = {path.name for path in folder.glob(GUARDIAN_FILES)}
     pattern = GUARDIAN_FACT.format(GUARDIAN_FILES)
     found = db.execute("SELECT key, value FROM facts WHERE key GLOB ?", (pattern,))

@@ -202,9 +202,8 @@ def open_stage(
     dialect: str = "grbl",
     capture: CaptureFile | None = None,
 ) -> Iterator[Stage]:
-    """The stage at ``url``, with its ``axes`` of X, Y, Z and A and its ``dialect`` (grbl, marlin);
-    or that of ``rig``. Connected, in real time, stopped at the end. Raises ConfigError,
-    InstrumentError.
+    """The stage at ``url`` (``axes`` of X, Y, Z, A; ``dialect`` grbl, marlin), or that of ``rig``:
+    connected, in real time, stopped at the end. Raises ConfigError, InstrumentError.
     """
     if url:
         _refuse_address("stage", url, stage_url)
@@ -311,8 +310,7 @@ def check_target(
     stage: Stage, x_mm: float, y_mm: float, *, z_mm: float | None = None, a_deg: float | None = None
 ) -> None:
     """Raise LimitError for a place that the stage can't go to, before anything moves."""
-    wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-    target = declared(wanted, stage.axes, who="stage")
+    target = declared({"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}, stage.axes, who="stage")
     check_within(target, stage.settings, "move", who="stage")
 
 

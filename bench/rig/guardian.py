@@ -6,9 +6,9 @@ when the bench dies or hangs.
 
 The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …``
 when its main thread makes no progress, ``done`` once it has made the bath safe itself, ``take
-over`` when it could not. The end of the input without a last word is the bench's death: it comes at
-once, however the bench died, on every system. Each ``alive`` is echoed on its standard output, so
-that the bench notices a guardian that is frozen. While the bench lives the guardian owns no link,
+over`` when it could not. The input's end without one of the last two is the bench's death: it
+comes at once, however the bench died, on every system. Each ``alive`` is echoed on its standard
+output, so that the bench notices a guardian that is frozen. While the bench runs, it owns no link,
 and the bath's lock (`hand_over`), by which the next session's guardian takes the bath from one that
 acts. All that it needs is loaded before, and locked in memory where the system allows it, because a
 dying machine may have no disk any more. A pump with a switch of its own runs on for a minute behind
@@ -98,7 +98,7 @@ class HeartbeatReader:
                 if dying:
                     return "died", "the system is ending it", stopwatch_s()
                 state = self._bench.state()
-                if dying := state == "dying":  # its last word may be in the pipe
+                if dying := state == "dying":  # its last line may be in the pipe
                     continue
                 if why := _hang(stopwatch_s() - last_s, stopped=state == "stopped"):
                     return "hung", why, last_s

@@ -5,7 +5,7 @@ Each bath has two file locks of the system, in a folder of this machine. A guard
 one that waits for the bath holds ``next``. A guardian that acts for a bench that is gone looks
 whether ``next`` is held, writes into its record that it hands over, and ends. A free lock shows
 that it has ended: the system frees a lock with its process and never before. One that does not
-answer is ended; one whose bench lives keeps the bath.
+answer is ended; one whose bench still runs keeps the bath.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class BathLock:
                 self._next.release()
         # one that has ended as it should takes its note away
         if (before := self._read()) and not ended:
-            how = "handed the bath over" if before.get(HANDED_OVER) else "ended without a last word"
+            how = "handed the bath over" if before.get(HANDED_OVER) else "ended before handing over"
             ended = f"{_named(before)} {how}"
         self._say()
         return ended
@@ -148,7 +148,7 @@ class BathLock:
         if MODULE not in " ".join(command):
             raise self._kept("a process that doesn't say who it is holds it")
         if not holder.get("acting") and still_runs({"pid": holder["bench"]}):
-            raise self._kept(f"{_named(holder)} guards it for a bench that lives")
+            raise self._kept(f"{_named(holder)} guards it for a bench that still runs")
         with suppress(psutil.Error):
             psutil.Process(int(holder["pid"])).kill()
         with suppress(Timeout):

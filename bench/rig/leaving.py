@@ -51,8 +51,7 @@ def target_of(rig: LoadedRig, *, bath: str = "", pump: str = "", stage: str = ""
         inferred = rig.rig.bath.allow_inferred
         target = GuardianTarget(bath, rig.profile_source, pump, rig.relay_source, inferred)
     if stage and table:
-        at = StageTarget(stage, table.baud, table.dialect, table.axes)
-        target = replace(target, stage=at)
+        target = replace(target, stage=StageTarget(stage, table.baud, table.dialect, table.axes))
     return target
 
 
@@ -139,7 +138,7 @@ class Leaving:
         return folder
 
     def _feed(self, bath: Bath) -> None:
-        """Keep a controller's own watchdog fed while this process lives, whatever else it does."""
+        """Keep a controller's own watchdog fed while this process runs, whatever else it does."""
         seconds = bath.profile.watchdog_s
         if seconds is None or not bath.watched:
             return

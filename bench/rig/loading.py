@@ -108,11 +108,17 @@ class LoadedRig:
         return str((self.path.parent / name).resolve()) if name.endswith(".toml") else name
 
     @property
-    def files(self) -> dict[str, str]:
-        """Name -> text of each file that a run keeps beside the rig: of the arm, and answers."""
-        arm, url = self.rig.arm, self.rig.operator.url
-        answers = url.removeprefix(SCRIPT) if url.startswith(SCRIPT) else ""
-        names = arm.frame, arm.verification, answers
+    def answer_files(self) -> dict[str, str]:
+        """The text of the script of answers, by its name; none where something else answers."""
+        url = self.rig.operator.url
+        return self._texts(url.removeprefix(SCRIPT)) if url.startswith(SCRIPT) else {}
+
+    @property
+    def arm_files(self) -> dict[str, str]:
+        """The text of each file about the arm, by its name."""
+        return self._texts(self.rig.arm.frame, self.rig.arm.verification)
+
+    def _texts(self, *names: str) -> dict[str, str]:
         return {Path(name).name: read_text(self.path.parent / name) for name in names if name}
 
 

@@ -142,8 +142,8 @@ class Reconnecting:
         look: Callable[[], object] | None = None,
         homed: Callable[[], None] = no_step,
     ) -> Reconnecting:
-        """For an arm, and for a stage and cameras where they are given. ``look`` raises while the
-        cameras are away; ``homed`` is called each time the arm was homed again.
+        """For an arm, also a stage and cameras where given. ``look`` raises while the cameras are
+        away; ``homed`` is called each time the arm was homed again.
         """
 
         def ready_arm() -> None:

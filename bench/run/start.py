@@ -261,7 +261,8 @@ def kind_facts(rig: Rig) -> dict[str, Any]:
 def _begun(held: OpenRig, script: LoadedScript, out: Path, under_test: Sequence[Detector]) -> Store:
     """A new run folder that says what the run is."""
     rig, how = held.rig, held.how
-    files = {**rig.files, **script.files, "rig.toml": rig.text, SCRIPT: script.text}
+    files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files}
+    files |= {**script.source_files, "rig.toml": rig.text, SCRIPT: script.text}
     table, trials = script.script, script.script.trials
     order = pose_set(trials, script.planned, seed=table.seed, order=table.order)
     today = wall_time().date()

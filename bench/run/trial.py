@@ -347,10 +347,10 @@ class TrialRun:
             ctx.check()
             # Wait for a sign of life of the bath's reading after the capture: the last value of a
             # sensor that stopped says nothing of the teats.
-            while not (lived := ctx.watch.lived_since(captured_s)) and self._stable():
+            while not (alive := ctx.watch.alive_since(captured_s)) and self._stable():
                 ctx.events.state("waiting for a sign of life of the bath's sensor")
                 ctx.wait(1.0)
-            if lived or self._rig.cameras.recorded:
+            if alive or self._rig.cameras.recorded:
                 break
         ends = [
             replace(end, situation=trial.situation, teat=str(teat), visible=visible[teat - 1])

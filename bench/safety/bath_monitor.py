@@ -45,7 +45,7 @@ ENDS = "The run ends; an open question needs no answer any more."
 class BathMonitor:
     """Watches the bath that ``read`` polls. ``act`` gets the first trip, makes safe, and returns
     whether it has. ``also``: another reason to trip; ``moving``: what of a reading has to change
-    while the controller lives.
+    while the controller works.
     """
 
     read: Callable[[], BathReading]
@@ -85,7 +85,7 @@ class BathMonitor:
         with self._gate_lock:
             return "; ".join(self.gate.reasons)
 
-    def lived_since(self, t_s: float) -> bool:
+    def alive_since(self, t_s: float) -> bool:
         """Whether the bath's reading has shown a sign of life after ``t_s``."""
         with self._lock:
             return self.gate.moved_s > t_s

@@ -298,7 +298,9 @@ class Script(Rules):
 
 @dataclass(frozen=True, slots=True)
 class LoadedScript:
-    """A script as read, its trials in the order of the run, and its layouts."""
+    """A script as read, its trials in the order of the run, and its layouts. ``*_files``: texts
+    that belong into the run's folder, by name.
+    """
 
     path: Path
     text: str
@@ -330,13 +332,21 @@ class LoadedScript:
         return shown
 
     @property
-    def files(self) -> dict[str, str]:
-        """Name -> text of each file that a run keeps beside the script's TOML: layouts, truth, and
-        the script in Python.
-        """
-        names = [name for name in self.layouts if name.endswith(".toml")]
-        names += [self.script.truth.file, self.path.name if self.path.suffix == ENDING else ""]
-        return {Path(name).name: read_text(self.path.parent / name) for name in names if name}
+    def source_files(self) -> dict[str, str]:
+        return {self.path.name: read_text(self.path)} if self.path.suffix == ENDING else {}
+
+    @property
+    def layout_files(self) -> dict[str, str]:
+        return {
+            name: read_text(self.path.parent / name)
+            for name in self.layouts
+            if name.endswith(".toml")
+        }
+
+    @property
+    def truth_files(self) -> dict[str, str]:
+        name = self.script.truth.file
+        return {Path(name).name: read_text(self.path.parent / name)} if name else {}
 
 
 def find_script(name: str | None) -> Path:

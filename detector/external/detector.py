@@ -1,9 +1,8 @@
 """A child process as a detector: started on demand, asked frame by frame, restarted after a fault,
 given up in the end.
 
-`prepare` writes pictures and calibration to files, outside of the measured time. After a fault of
-the line (silence, end, nonsense) or too much memory the process is ended; after a whole answer with
-wrong values it goes on.
+`prepare` writes pictures and calibration to files, outside of the measured time. A fault of the
+line (silence, end, nonsense, memory) ends the process; a whole answer with wrong values doesn't.
 """
 
 from __future__ import annotations

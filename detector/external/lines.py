@@ -26,6 +26,7 @@ from detector.protocol import (
     Visit,
     trained_on_of,
 )
+from textfiles.text import short
 
 READY = {"ready": True}
 PICTURES = ("left", "right", "thermal", "thermal_radiometric", "depth", "depth_amplitude")
@@ -141,8 +142,7 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
 
 def shown(line: bytes) -> str:
     """A line for a sentence: its beginning."""
-    text = line.decode("utf-8", errors="replace").strip()
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+    return short(line.decode("utf-8", errors="replace").strip(), _SHOWN)
 
 
 def _object(line: bytes) -> dict[str, Any]:

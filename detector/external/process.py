@@ -247,9 +247,7 @@ def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
 def _spawn(
     command: Sequence[str], folder: Path | None, env: Mapping[str, str], hard_mib: int
 ) -> tuple[subprocess.Popen[bytes], int | None]:
-    """The process, in a session of its own, and the pipe at whose closing its supervisor ends it;
-    no pipe on Windows, where there is no supervisor.
-    """
+    """The process in a session of its own, and its supervisor's pipe; None on Windows."""
     settings: dict[str, Any] = {"cwd": folder, "env": env}
     settings |= dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     if os.name != "posix":

@@ -93,9 +93,7 @@ def _living() -> dict[int, tuple[int, int]]:
 
 
 def _reap(child: int) -> int | None:
-    """Reap ended processes; the exit code of ``child``, negative for a signal, if it is one of
-    them.
-    """
+    """Reap ended processes; the exit code of ``child``, negative for a signal, if it has ended."""
     code = None
     try:
         while (found := os.waitpid(-1, os.WNOHANG))[0]:

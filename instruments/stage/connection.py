@@ -63,7 +63,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def uninterrupted(question: Callable[P, R]) -> Callable[P, R]:
+def atomic(question: Callable[P, R]) -> Callable[P, R]:
     """A method of `Dialogue` that waits for other threads' questions, and lets none in between."""
 
     @wraps(question)
@@ -137,7 +137,7 @@ class Dialogue:
         self._inbox: deque[Response] = deque()
         self._offset: Position | None = None
 
-    @uninterrupted
+    @atomic
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         """Send a line and wait for its ``ok``; what was pushed meanwhile."""
         data = encode(text, who=self.who)
@@ -159,7 +159,7 @@ class Dialogue:
                 raise DeviceError(self.who, what, asked=text, hint=hint)
             pushed.append(answer)
 
-    @uninterrupted
+    @atomic
     def status(self) -> Status:
         """A fresh status report; asked for again after an alarm, as a restarting board loses it."""
         self.wait(0.0)
@@ -249,20 +249,20 @@ class Dialogue:
         """Stop whatever it does, homing too; the position is lost. Raises LinkError."""
         self.restart()
 
-    @uninterrupted
+    @atomic
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises at once for an alarm, a restart or a malformed answer."""
         wait = self._link.reception(self._clock.now() + seconds)
         while self._next(wait) is not None:
             pass
 
-    @uninterrupted
+    @atomic
     def start(self) -> Welcome:
         """On a new link: wait for the welcome after the port's reset, or reset the board."""
         self.upsets += 1
         return self._welcome() or self.restart()
 
-    @uninterrupted
+    @atomic
     def restart(self) -> Welcome:
         """Soft reset: drop outstanding answer, alarm and input. Raises LinkError, ProtocolError."""
         self.upsets += 1

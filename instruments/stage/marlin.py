@@ -18,14 +18,7 @@ from typing import ClassVar
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.connection import (
-    ANSWER_S,
-    QUIET_S,
-    START_S,
-    STATUS_S,
-    Dialogue,
-    uninterrupted,
-)
+from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue, atomic
 from instruments.stage.protocol import (
     HOME_AGAIN,
     Alarm,
@@ -184,9 +177,7 @@ class MarlinDialogue(Dialogue):
         self._steps: Position = (1.0, 1.0, 1.0)
         self._stale = False  # answers may come that belong to nothing
         self._marks = 0
-        self._last_message = (
-            ""  # since the last line was sent: the reason of a halt comes before it
-        )
+        self._last_message = ""  # since the last line was sent: it says why a halt that follows is
 
     def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if "A" in axes:
@@ -220,7 +211,7 @@ class MarlinDialogue(Dialogue):
     def _messages(self, line: str) -> list[str]:
         return [said.text for said in self.command(line) if isinstance(said, Message)] or [""]
 
-    @uninterrupted
+    @atomic
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         if self._stale:
             self._synchronize()
@@ -231,7 +222,7 @@ class MarlinDialogue(Dialogue):
             self._stale = True  # an ``ok`` follows a refusal, too
             raise
 
-    @uninterrupted
+    @atomic
     def status(self) -> Status:
         """A fresh report: "Run" while the step counts are not at the place that it was sent to."""
         if f"M113 S{BEAT_S}" not in self._messages("M113"):
@@ -290,7 +281,7 @@ class MarlinDialogue(Dialogue):
 
     cancel_jog = brake
 
-    @uninterrupted
+    @atomic
     def abort(self) -> None:
         """Stop it by M410; M112 halts a board that homes or disobeys, until it is switched off."""
         self.upsets += 1
@@ -309,7 +300,7 @@ class MarlinDialogue(Dialogue):
             except (DeviceError, ProtocolError):
                 continue
 
-    @uninterrupted
+    @atomic
     def start(self) -> Welcome:
         """Wait for the board's start, if opening the port resets it, and for its attention."""
         self.upsets += 1
@@ -324,7 +315,7 @@ class MarlinDialogue(Dialogue):
                     raise
         return Welcome("", "Marlin")
 
-    @uninterrupted
+    @atomic
     def restart(self) -> Welcome:
         """Synchronise: Marlin has no restart over the wire, and a halted one has to be switched off
         and on. Raises LinkError, ProtocolError, DeviceError.

@@ -285,7 +285,7 @@ def test_a_layout_may_lie_beside_the_script(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(f'about = "x"\n{teat}', encoding="utf-8")
     script = script_of(tmp_path, SINGLE.replace("single", "mine.toml"))
     assert script.planned[0].phantom.name == "mine"
-    assert list(script.files) == ["mine.toml"]
+    assert list(script.layout_files) == ["mine.toml"]
     (tmp_path / "bad.toml").write_text("about = 3\n", encoding="utf-8")
     for wrong, why in {
         "other.toml": "no such file",
