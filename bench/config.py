@@ -120,7 +120,7 @@ class Section(BaseModel):
 
 Model = TypeVar("Model", bound=BaseModel)
 Item = TypeVar("Item")
-SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
+SHOWN = 120  # characters of a line of the file, in a message about it
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ def beside(folder: Path, holds: str, bare: str = "runs") -> str:
 
 @contextmanager
 def wrong_use() -> Iterator[None]:
-    """A ValueError of a room that knows no ConfigError becomes one."""
+    """Turn a ValueError of a room without ConfigError into one."""
     try:
         yield
     except ValueError as error:
@@ -260,6 +260,14 @@ def read_text(path: Path) -> str:
         raise ConfigError.plain(f"{path} can't be read: {why}{_near(path, error)}") from error
 
 
+def read_bytes(path: Path) -> bytes:
+    """The bytes of ``path``. Raises ConfigError when it can't be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
+
+
 def _near(path: Path, error: Exception) -> str:
     """Where a file was looked for that isn't there, and what may have been meant."""
     folder = path.resolve().parent
@@ -326,8 +334,7 @@ def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[st
         return [fault.message for fault in faults]
     out = [f"{path}: {plural(len(faults), 'fault')}"]
     for fault in faults:
-        note = fault.message
-        out.append(f"{path}:{fault.line}: {note if len(note) <= TOLD else note[:TOLD] + '...'}")
+        out.append(f"{path}:{fault.line}: {short(fault.message, 2000)}")
         if fault.width and 0 < fault.line <= len(lines):
             line = lines[fault.line - 1]  # a long one around its column only
             start = max(0, fault.column - SHOWN // 2) if len(line) > SHOWN else 0

@@ -149,7 +149,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """Time from ``start_s`` on that moves only when a thread waits. Not for two that both wait."""
+    """Time from ``start_s`` on that moves only when a thread waits; no two may wait at once."""
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._now = start_s

@@ -65,7 +65,7 @@ class DriverError(DeviceError):
 
 
 class LimitError(InstrumentError):
-    """We refused before sending: outside a limit, not homed, not allowed in this state."""
+    """Refused before anything was sent: outside a limit, not homed, not allowed in this state."""
 
 
 class TouchAgainError(LimitError):

@@ -15,8 +15,8 @@ def check_fault(
     amount: float | None = None,
     near: str = "",
 ) -> None:
-    """Raise ValueError for a fault that none is of ``known``, or for an amount that it can't have.
-    ``whose``: as "the arm has"; ``near``: what else may be meant.
+    """Raise ValueError for a fault that isn't ``known``, or for an amount that it can't have.
+    ``whose`` begins the message, as "the arm has"; ``near``: what else may be meant.
     """
     if name not in known:
         raise ValueError(f'{whose} no fault "{name}"{near} (there are: {", ".join(known)})')

@@ -1,9 +1,8 @@
 """A byte link to an instrument, by URL. Under virtual time it waits by moving the clock.
 
 ``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are opened by pyserial, each also with
-``?dtr=off&rts=off``. socket://,
-tcp:// and rtu+tcp:// with host:port are opened here: pyserial's own handler reads one
-byte a call and sleeps 0.3 s when it closes.
+``?dtr=off&rts=off``. socket://, tcp:// and rtu+tcp:// with host:port are opened here: pyserial's
+own handler reads one byte a call and sleeps 0.3 s when it closes.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ class Tap:
 
 
 class Reception:
-    """One wait for what a peer sends, which ends by itself whatever it sends: at ``until_s``, at
-    the latest LATE_S behind it, or with more than ``MOST_BYTES`` bytes, which no instrument says.
+    """One wait for what a peer sends: until ``until_s``. What has come by then is taken for LATE_S
+    more; a peer that sends more than ``MOST_BYTES`` bytes is none of our instruments.
     """
 
     def __init__(self, who: str, clock: Clock, until_s: float) -> None:
@@ -73,7 +72,7 @@ class Reception:
 
     @property
     def over(self) -> bool:
-        """Whether not even what lies there already is taken any more; what came first always is."""
+        """Whether bytes that have come are no longer taken; the first ones always are."""
         return self._count > 0 and self._clock.now() > self.until_s + LATE_S
 
     def took(self, data: bytes) -> None:
@@ -163,7 +162,8 @@ class Link:
             return data
         if isinstance(self.clock, VirtualClock):  # an emulator's port moves the time itself
             return self._receive(timeout_s)
-        # looks at the clock every second: a sign of life, and on Windows the moment for Ctrl-C
+        # a second at a time: each look at the clock is a sign of life, and Windows takes Ctrl-C
+        # only between two waits
         deadline = self.clock.now() + timeout_s
         while True:
             left_s = max(0.0, deadline - self.clock.now())
@@ -232,7 +232,7 @@ class Link:
             raise LinkError(self.who, "the link is closed", hint=hint)
 
     def _collect(self, end: Callable[[bytes], int | None], timeout_s: float) -> bytes:
-        """All up to ``end`` of what has come; None while that is not there."""
+        """What comes, up to the place that ``end`` gives (None: go on); all at the timeout."""
         data = b""
         for more in self.incoming(self.reception(self.clock.now() + timeout_s)):
             data += more

@@ -20,7 +20,7 @@ from weakref import WeakSet
 from instruments.clock import Clock, VirtualClock, unbroken
 from instruments.pacing import Pacer, Port, ServedPort, check_pace
 
-# for a thread to end, which never does where another has closed what it waits at
+# to wait for a thread's end: one that reads what another thread has closed may never end
 END_S = 3.0
 
 
@@ -28,13 +28,13 @@ class Device(Protocol):
     """The emulated instrument behind a wire."""
 
     def connect(self, connection: Connection) -> None:
-        """A host has connected; what the device says unasked is sent here."""
+        """A host has connected; what the device sends unasked goes to ``connection``."""
 
     def receive(self, connection: Connection, data: bytes) -> None:
-        """Bytes came, cut anywhere."""
+        """The host has sent ``data``, which may begin and end anywhere in a message."""
 
     def disconnect(self, connection: Connection) -> None:
-        """The cable is out."""
+        """The connection has ended."""
 
 
 class Connection:
@@ -62,7 +62,7 @@ class Connection:
             pass
 
     def after(self, seconds: float, action: Callable[[], None], *, when_gone: bool = False) -> None:
-        """Run ``action`` in ``seconds`` by the clock; ``when_gone``: though the host has gone."""
+        """Run ``action`` in ``seconds``; ``when_gone``: also where the host has gone by then."""
 
         def run() -> None:
             with self._lock:
@@ -131,8 +131,8 @@ class ServedConnection(Connection):
 
 
 class Loopback(Connection):
-    """One with a host of this process under virtual time, and that host's port: the device takes
-    bytes on the thread that sends them, so no thread's pace has a part in what a run does.
+    """A connection to a host in this process under virtual time; it is that host's port, too. The
+    device takes bytes on the thread that sends them, so no run depends on how fast threads are.
     """
 
     def __init__(self, device: Device, clock: VirtualClock, lock: threading.RLock) -> None:
@@ -163,7 +163,7 @@ class Loopback(Connection):
 
     @unbroken
     def write(self, data: bytes) -> None:
-        """As `HostPort`. A device that has hung up hears nothing; the host notices as it reads."""
+        """As `HostPort`. A device that has hung up gets nothing; the host notices as it reads."""
         with self._lock:
             if self.open:
                 self._device.receive(self, data)
@@ -186,7 +186,7 @@ class Loopback(Connection):
 
 
 class _HostBuffer:
-    """A device's end of a `Loopback`: keeps what it says until the host reads."""
+    """A device's end of a `Loopback`: keeps what it sends until the host reads."""
 
     def __init__(self) -> None:
         self.data, self.ended = b"", False
@@ -292,7 +292,7 @@ class Listener:
             connection.serve(self._device)
 
     def _connected(self, clock: VirtualClock) -> Loopback:
-        """A host of this process comes; one whose cable is out is hung up on."""
+        """The port of a host in this process; broken from the start while the cable is out."""
         with self._lock:
             loop = Loopback(self._device, clock, self._lock)
             if self.pulled:

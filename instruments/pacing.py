@@ -21,7 +21,7 @@ from instruments.clock import Clock, VirtualClock
 
 BITS_PER_BYTE = 10  # start, eight, stop
 PIECE_S = 0.002  # bytes of so long are handed on together, when the last of them is through
-# the system wakes a thread this late at times: the rest of a wait is looked at, not slept
+# a thread may wake up so late: the rest of a wait is polled, not slept
 SPIN_S = 0.00008
 
 

@@ -42,7 +42,8 @@ FILE, TYPED = "points:", "typed:"
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # in mm
 SPELT = {"in": "inch", "inches": "inch", '"': "inch"}
 ALLOWED = '"points:FILE" or "points:FILE?unit=mm&columns=name,x,y,z&serial=7001", "typed:"'
-WAIT_S, TURN_S = 10.0, 0.2  # for a row after the operator went on; between two looks
+WAIT_S = 10.0  # for a row, once the operator goes on
+TURN_S = 0.2  # between two looks for a row
 BLANK = ' \t;,"\ufeff'  # a row of separators, as spreadsheets end a table
 FARTHEST_MM = 20_000.0  # no arm reaches as far: the unit is wrong
 _HEAD = re.compile(r'([xyzuijk])[ _]*[\[(]?(mm|cm|m|inch(?:es)?|in|")?[\])]?', re.IGNORECASE)
@@ -138,7 +139,7 @@ class PointArm:
         self._operator: Operator | None = None
 
     def asked_of(self, operator: Operator | None) -> None:
-        """Have ``operator`` touch; with a console a new row is as good as Enter."""
+        """Have ``operator`` touch; at a console a new row counts as Enter."""
         self._operator = operator
         if isinstance(operator, PromptedOperator) and self._path is not None:
             operator.before_touch = self._pass_over
@@ -254,7 +255,7 @@ class PointArm:
     # The file
 
     def _pass_over(self) -> None:
-        """A touch is asked for: points that are there already are of none."""
+        """Pass over the points that are there before a touch is asked for."""
         with suppress(InstrumentError):  # reading raises it
             new = self._new_rows()
             self._taken += new

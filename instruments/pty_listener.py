@@ -93,13 +93,15 @@ class PtyListener:
 
     def _run(self) -> None:
         try:
-            while self._host_comes():
+            while self._await_host():
                 self._serve()
         finally:
             self._terminal.close()
 
-    def _host_comes(self) -> bool:
-        """Wait for a host, seen twice: it has then set up and flushed its port."""
+    def _await_host(self) -> bool:
+        """Wait until a host was seen twice: it has then set up and flushed its port. False where
+        the listener closes.
+        """
         seen = 0
         while seen < 2:
             if self._closing.wait(LOOK_S):
@@ -149,7 +151,7 @@ class _Terminal:
         try:
             data = os.read(self._master, 65536)
         except BlockingIOError:
-            pass  # open, and nothing said
+            pass  # open, and nothing sent
         except OSError:
             return bool(self._early)
         else:

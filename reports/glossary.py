@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from markupsafe import Markup, escape
 
 from reports.sanitize import page_text, sanitized
+from textfiles.text import capital
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class GlossaryLinks:
         for term in terms:
             for word in (term.name, *term.also):
                 # as in the middle of a sentence and, of a word, at its beginning
-                begun = word[0].upper() + word[1:] if len(word) > 3 else word
+                begun = capital(word) if len(word) > 3 else word
                 self._ids |= {spelt: term.id for spelt in (word, begun) if spelt not in names}
         words = sorted(self._ids, key=len, reverse=True)
         text = "|".join(map(re.escape, words))

@@ -1,8 +1,7 @@
 """TOML and JSON as plain values, through one door: whatever is wrong leaves it as a DocumentError
 with its place, and what comes through can be walked, printed and stored.
 
-What can't: integers of thousands of digits, text with half a
-surrogate pair, tables in tables without end.
+What can't: integers of thousands of digits, half a surrogate pair, tables in tables without end.
 """
 
 from __future__ import annotations
@@ -86,9 +85,8 @@ def _values(document: Any, kind: str) -> Iterator[tuple[int, Any]]:
         yield depth, value
         count += 1
         if depth > DEEPEST or count > MOST_VALUES:
-            what = f"more than {DEEPEST} tables in each other"
-            what = what if depth > DEEPEST else f"more than {MOST_VALUES} values"
-            raise DocumentError(f"not usable {kind}: {what}")
+            most = f"{DEEPEST} tables in each other" if depth > DEEPEST else f"{MOST_VALUES} values"
+            raise DocumentError(f"not usable {kind}: more than {most}")
         if isinstance(value, dict):
             left += [(depth + 1, part) for pair in value.items() for part in pair]
         elif isinstance(value, list | tuple):

@@ -13,12 +13,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from textfiles.text import TextError
+from textfiles.text import TextError, short
 
 SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas"}
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # Excel's own first line
-SHOWN = 40  # characters of a cell in a message
 
 
 class TableError(TextError):
@@ -61,8 +60,7 @@ def read_table(
     are numbers (None: all). Raises TableError.
     """
     lines = text.split("\n")
-    skipped = 0
-    mark = ""
+    skipped, mark = 0, ""
     if given := _SEPARATOR_LINE.fullmatch(lines[0]):
         mark, skipped = given[1], 1
     mark = mark or separator_of(next((line for line in lines[skipped:] if line.strip()), "")) or ","
@@ -93,8 +91,7 @@ def _cells(lines: Sequence[str], mark: str, skipped: int) -> list[tuple[int, lis
             line = reader.line_num + skipped + 1
     except csv.Error as error:
         between = SEPARATORS.get(mark, mark)
-        what = f"is not a table of values between {between}: {error}"
-        raise TableError(line, what) from None
+        raise TableError(line, f"is not a table of values between {between}: {error}") from None
     return rows
 
 
@@ -139,9 +136,8 @@ def number(cell: str) -> float:
     """A finite number with a decimal point or comma. Raises ValueError."""
     plain = stripped(cell).replace("\N{MINUS SIGN}", "-")
     if not _NUMBER.fullmatch(plain):
-        if plain.lstrip("+-").lower() in ("nan", "inf", "infinity"):
-            raise ValueError("finite")
-        raise ValueError("a number")
+        endless = plain.lstrip("+-").lower() in ("nan", "inf", "infinity")
+        raise ValueError("finite" if endless else "a number")
     value = float(plain.replace(",", "."))
     if not math.isfinite(value):
         raise ValueError("finite")
@@ -149,4 +145,4 @@ def number(cell: str) -> float:
 
 
 def _shown(cell: str) -> str:
-    return repr(cell if len(cell) <= SHOWN else f"{cell[: SHOWN - 3]}...")
+    return repr(short(cell, 40))

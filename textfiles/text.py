@@ -101,6 +101,16 @@ def full_stop(text: str) -> str:
     return text if text.endswith((".", "?", "!")) else f"{text}."
 
 
+def capital(text: str) -> str:
+    """``text`` with a capital letter at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
+def sentence(text: str) -> str:
+    """``text`` with a capital letter at its beginning and a full stop."""
+    return capital(full_stop(text))
+
+
 def in_command(path: object) -> str:
     """As one word of a command: in quotes where it needs them, at POSIX shells and Windows's."""
     text = str(path)
@@ -118,9 +128,9 @@ def one_command(words: Iterable[str]) -> str:
     return shlex.join(words)
 
 
-def short(text: str) -> str:
-    """``text`` as far as it has room in a message."""
-    return text if len(text) <= 60 else text[:57] + "..."
+def short(text: str, most: int = 60) -> str:
+    """``text`` for a message: cut to ``most`` characters."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def time_text(seconds: float) -> str:

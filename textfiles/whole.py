@@ -66,16 +66,15 @@ def take_place(part: Path, path: Path, again_s: float | None = None) -> None:
     try:
         in_turn(lambda: part.replace(path), again_s)
     except PermissionError as error:
-        error.filename = str(path)  # nobody knows its part
+        error.filename = str(path)  # not the part, which a user does not know
         if ON_WINDOWS:
             error.strerror = f"{error.strerror} (is it read-only, or open in another program?)"
         raise
 
 
 def in_turn(act: Callable[[], T], again_s: float | None = None) -> T:
-    """What ``act`` gives. Windows takes no file's place while somebody reads it, and gives nobody
-    what is just replaced: ``again_s`` (None: `AGAIN_S`) long it is tried again there. Raises what
-    ``act`` does.
+    """What ``act`` gives. Windows replaces no file that a program has open, and opens none that is
+    just replaced: there it is tried again for ``again_s`` (None: `AGAIN_S`). Raises as ``act``.
     """
     until_s = time.monotonic() + (AGAIN_S if again_s is None else again_s)
     while True:
@@ -90,7 +89,7 @@ def in_turn(act: Callable[[], T], again_s: float | None = None) -> T:
 def try_write(path: Path) -> None:
     """Raises OSError where a file of `TRIED` bytes can't be written at ``path``. Leaves nothing."""
     refuse_no_name(path)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # nobody's
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         part.write_bytes(bytes(TRIED))
     finally:

@@ -99,8 +99,7 @@ def touch_points(
             opened.home()
             radius_mm = opened.loaded.rig.arm.tip_radius_mm
             who = opened.arm, opened.operator.ask, opened.clock, say
-            lost = Reconnecting.of_arm(*who, opened.loaded.rig.limits.away_s)
-            lost.ready = {**lost.ready, "cameras": look}
+            lost = Reconnecting.of_arm(*who, opened.loaded.rig.limits.away_s, look=look)
             asking = TouchSession(look, opened.operator, opened.tip, radius_mm, say, lost.wait)
             gather_points(asking, board, folder)
             opened.operator.ask(Finish())

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibrate.simulated_arm import Step, TryingArm
+from bench.calibrate.simulated_arm import SimulatedArm, Step
 from bench.config import ConfigError, check_within
 from bench.rig.arm_files import (
     APART_MM,
@@ -86,7 +86,7 @@ class ArmSession:
     arm: Arm
     clock: Clock
     operator: Operator
-    trying: TryingArm | None
+    simulated: SimulatedArm | None
     away_s: float = AWAY_S
     homings: int = 0  # since it was lost
 
@@ -95,13 +95,12 @@ class ArmSession:
 
     def touch(self, step: Step) -> None:
         """Something to be touched; the emulated hand goes there first."""
-        if self.trying:
-            self.trying.go(step)
+        if self.simulated:
+            self.simulated.go(step)
         self.operator.ask(Task(step.text, pedal=True))
 
-    def homed_again(self, reach: Callable[[], object]) -> None:
-        """Have ``reach`` do it, and count it. Raises as it."""
-        reach()
+    def count_homing(self) -> None:
+        """The arm was homed once more."""
         self.homings += 1
 
     def say(self, text: str) -> None:
@@ -122,9 +121,9 @@ def open_arm(
     length_mm: float | None = None,
     operator: Operator | None = None,
 ) -> Iterator[ArmSession]:
-    """The arm at ``port``, signed on; ``homed``, or the ``operator`` is asked (None: whoever is at
-    the terminal). ``on_peg``: it is homed, and False asks for the stylus before. ``length_mm``: an
-    emulated arm's bar. Raises ConfigError.
+    """The arm at ``port``, signed on; unless ``homed``, the ``operator`` is asked (None: a person
+    at the terminal). ``on_peg``: home it now; False: ask for the stylus on its peg before. Of an
+    emulated arm ``length_mm`` is its bar. Raises ConfigError.
     """
     check_within(ABOVE_0, answer_s=answer_s)
     asks = bool(operator or (sys.stdin and sys.stdin.isatty()))
@@ -143,10 +142,10 @@ def open_arm(
         raise ConfigError.plain(f"{port}: {error}") from error
     with ExitStack() as stack:
         clock = stack.enter_context(closing(RealClock()))
-        trying = None
+        simulated = None
         if port == EMULATED:
-            trying = stack.enter_context(TryingArm(clock, length_mm=length_mm or 300.0))
-        url = trying.url if trying else port
+            simulated = stack.enter_context(SimulatedArm(clock, length_mm=length_mm or 300.0))
+        url = simulated.url if simulated else port
         rig = rig_of(arm=ArmTable.model_construct(url=url, baud=baud, answer_s=answer_s))
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
             arm = devices.arm
@@ -166,7 +165,7 @@ def open_arm(
                 arm.home()
             if ask or homed:
                 arm.confirm_homed()
-            yield ArmSession(arm, clock, operator, trying)
+            yield ArmSession(arm, clock, operator, simulated)
 
 
 def today() -> datetime:
@@ -386,12 +385,12 @@ def read_touch(session: ArmSession, step: Step) -> Reading:
         return session.arm.read()
 
     def ask(request: Request) -> None:
-        if session.trying:
-            session.trying.rest()
+        if session.simulated:
+            session.simulated.rest()
         session.operator.ask(request)
 
-    again = Reconnecting.of_arm(session.arm, ask, session.clock, session.say, session.away_s)
-    again.ready = {"arm": partial(session.homed_again, again.ready["arm"])}
+    who = session.arm, ask, session.clock, session.say, session.away_s
+    again = Reconnecting.of_arm(*who, homed=session.count_homing)
     while True:
         try:
             reading = again.keep(touched)

@@ -48,7 +48,7 @@ class Step:
     off: Triple = (0.0, 0.0, 0.0)
 
 
-class TryingArm:
+class SimulatedArm:
     """An emulated arm at ``url``, and the hand that holds its tip, at first on the peg."""
 
     def __init__(
@@ -87,7 +87,7 @@ class TryingArm:
         with self._lock:
             self._held = None
 
-    def __enter__(self) -> TryingArm:
+    def __enter__(self) -> SimulatedArm:
         return self
 
     def __exit__(self, *_: object) -> None:

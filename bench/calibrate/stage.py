@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import hypot
 
 from bench.config import ConfigError, check_within
 from bench.rig.loading import AnyRig, any_rig
@@ -16,9 +15,8 @@ from bench.rig.reconnecting import Reconnecting
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.stage_registration import Registering, around, register
-from bench.truth.touching import TipReader, Toucher, end_u_mm
+from bench.truth.touching import TipReader, Toucher
 from instruments.captures.capture import CaptureFile
-from instruments.clock import wall_time
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
 from textfiles.bounds import COUNT, FROM_0
@@ -84,21 +82,9 @@ def calibrate_stage(
             operator.ask(Arrangement("stage_registration", phantom, (), text))
             toucher = Toucher(operator.ask, tip, rig.rig.arm, devices.clock, lambda: None, readings)
             who = arm, operator.ask, devices.clock, say, rig.rig.limits.away_s
-            made = partial(
-                register,
-                stage,
-                settings,
-                toucher,
-                Registering(),
-                phantom,
-                poses,
-                teat=teat,
-                u_mm=hypot(end_u_mm(rig.rig.arm, toucher.each), settings.repeatability_mm),
-                made=wall_time().replace(microsecond=0),
-                serial_number=arm.identity.serial_number,
-                report=say,
-            )
-            return Reconnecting.of_arm(*who, stage).keep(made)
+            given = stage, settings, toucher, Registering(), phantom, poses
+            registering = partial(register, *given, teat=teat, report=say)
+            return Reconnecting.of_arm(*who, stage=stage).keep(registering)
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
         finally:  # the arm signed off, whatever came before

@@ -132,7 +132,7 @@ class BoardViews:
     refused: tuple[RefusedPicture, ...]
 
     def views(self, camera: str) -> list[BoardView]:
-        """What the solver wants of one camera."""
+        """The views of one camera, as the solver takes them."""
         return [
             BoardView(name, self.board.points_mm[found.ids], found.pixels_px)
             for name, found in self.found[camera].items()
@@ -338,9 +338,9 @@ def gather(
     wanted: ViewsRequest,
     folder: Path,
     report: Callable[[str], None],
-    find: Callable[[InstrumentError], None] = lambda _: None,
+    reconnect: Callable[[InstrumentError], None] = lambda _: None,
 ) -> int:
-    """Keep views as CAMERA/NN.png; returns how many. ``find`` waits for a camera that was lost, or
+    """Keep views as CAMERA/NN.png; returns how many. ``reconnect`` waits for a lost camera, or
     raises its fault. Raises OperatorAbort, ConfigError.
     """
     guide = Guide(board, wanted.guided)
@@ -360,7 +360,7 @@ def gather(
             return number - 1
         except InstrumentError as error:
             lost += 1
-            _await(error, lost, find, lambda: _report_kept(number - 1, folder, report))  # noqa: B023
+            _await(error, lost, reconnect, lambda: _report_kept(number - 1, folder, report))  # noqa: B023
             report(f"view {number}: {error} The view is asked for again.")
             continue
         for camera in wanted.cameras:
@@ -390,7 +390,7 @@ def gather(
 def _await(
     error: InstrumentError,
     lost: int,
-    find: Callable[[InstrumentError], None],
+    reconnect: Callable[[InstrumentError], None],
     report_kept: Callable[[], None],
 ) -> None:
     """Until a camera that was lost is back. Raises ``error`` where it stays away, and after
@@ -400,7 +400,7 @@ def _await(
         if lost == TRIES:
             raise error
         if is_loss(error):
-            find(error)
+            reconnect(error)
     except InstrumentError:
         report_kept()
         raise

@@ -184,8 +184,8 @@ HOMED_AGAIN = "The arm was homed again."
 
 @dataclass(frozen=True, slots=True)
 class TouchSession:
-    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find`` waits for
-    what was lost, or raises its fault.
+    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``reconnect``
+    waits for the instrument of a fault, or raises it.
     """
 
     look: Callable[[], Mapping[str, Grey]]
@@ -193,7 +193,7 @@ class TouchSession:
     tip: TipReader
     tip_radius_mm: float
     report: Callable[[str], None]
-    find: Callable[[InstrumentError], None]
+    reconnect: Callable[[InstrumentError], None]
 
 
 def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPoints:
@@ -263,7 +263,7 @@ def _fixed(asking: TouchSession, board: Board, position: int, folder: Path) -> t
             pixels = _looked(pictures, board)
         except (ViewRefusedError, InstrumentError) as why:
             if isinstance(why, InstrumentError) and is_loss(why):
-                asking.find(why)
+                asking.reconnect(why)
             asking.report(f"position {position}: refused: {why}")
             again = f"Not found ({why}) "
             continue
@@ -314,7 +314,7 @@ def _touched(asking: TouchSession, board: Board, at: int, before: list[Reading])
             again = f"{moves} Touch it once more."
             continue
         except InstrumentError as error:
-            asking.find(error)
+            asking.reconnect(error)
             again = "The touches before this one are kept."
             if before:
                 _compare(asking, board, before)
@@ -352,7 +352,7 @@ def _compare(asking: TouchSession, board: Board, before: list[Reading]) -> None:
             asking.report(str(moves))
             continue
         except InstrumentError as error:
-            asking.find(error)
+            asking.reconnect(error)
             continue
         if off_mm > (limit_mm := same_place_mm(asking.tip.settings)):
             what = f"it was homed again, and point {at + 1} is {off_mm:.2f} mm from where it was"

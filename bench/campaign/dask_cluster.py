@@ -22,7 +22,7 @@ from distributed import TimeoutError as DaskTimeoutError
 
 from bench.campaign.chunk import Rows, set_aside
 from bench.campaign.plan import Chunk, Job, of_program
-from bench.campaign.pool import AHEAD, REMEMBERED, LocalPool, PoolError, Say, silence_limit_s
+from bench.campaign.pool import AHEAD, TIMES_KEPT, LocalPool, PoolError, Say, silence_limit_s
 from instruments.clock import stopwatch_s
 
 LOST = 2  # of a chunk's workers, until it is halved
@@ -91,7 +91,7 @@ class DaskPool:
         self._again: deque[Chunk] = deque()
         self._open: dict[str, tuple[Chunk, list[Rows]]] = {}  # and its pieces that are done
         self._lost: Counter[Chunk] = Counter()
-        self._chunk_s: deque[float] = deque(maxlen=REMEMBERED)
+        self._chunk_s: deque[float] = deque(maxlen=TIMES_KEPT)
         self._renewed = 0
         self._last_result_s = stopwatch_s()
         self._connect()

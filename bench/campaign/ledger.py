@@ -16,7 +16,7 @@ from pathlib import Path
 
 from filelock import FileLock
 
-from bench.config import ConfigError
+from bench.config import ConfigError, read_bytes
 from bench.files import write_synced
 from textfiles.whole import new_folders, sync
 
@@ -78,7 +78,7 @@ class Ledger:
         return {name: digest for name, digest in self._lines().items() if digest != REMOVED}
 
     def _lines(self) -> dict[str, str]:
-        """The last word on each name."""
+        """The last digest of each name, or `REMOVED`."""
         try:
             text = (self.folder / LEDGER).read_text(encoding="utf-8", errors="replace")
         except FileNotFoundError:
@@ -87,8 +87,8 @@ class Ledger:
         return {name: digest for digest, _, name in parts}
 
     def damage(self, below: str) -> Damage:
-        """What is wrong of the Parquet files whose names begin with ``below``. A file is looked at
-        again before it is accused: a run may be writing it. Raises ConfigError.
+        """What is wrong with the Parquet files whose names begin with ``below``. A damaged file is
+        read again before it counts: a run may be writing it. Raises ConfigError.
         """
         for _ in range(LOOKS - 1):
             if not (found := self._damage(below)):
@@ -108,7 +108,7 @@ class Ledger:
                 name
                 for name in ours
                 if name in named & there
-                and hashlib.sha256(_read(self.folder / name)).hexdigest() != lines[name]
+                and hashlib.sha256(read_bytes(self.folder / name)).hexdigest() != lines[name]
             ),
             missing=tuple(name for name in ours if name not in there),
             unknown=tuple(name for name in ours if name not in lines),
@@ -117,7 +117,7 @@ class Ledger:
     def checked_bytes(self, name: str) -> bytes:
         """A file's content. Raises ConfigError where it is not as it was written."""
         path = self.folder / name
-        data = _read(path)
+        data = read_bytes(path)
         if self.state().get(name) != hashlib.sha256(data).hexdigest():
             raise ConfigError.plain(
                 f"{path} is not as the campaign wrote it ({LEDGER} beside it has another SHA-256)."
@@ -164,10 +164,3 @@ class Ledger:
         with (self.folder / LEDGER).open("rb") as file:
             file.seek(-1, os.SEEK_END)
             return file.read(1) == b"\n"
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error

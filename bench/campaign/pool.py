@@ -30,11 +30,11 @@ AHEAD = 2  # scenes given to a process, so that it never waits for the next
 DEATHS = 3  # of processes at one scene, the last of them alone
 START_DEATHS = 3  # of workers one after the other that never began, where none ever did
 MORE_START_DEATHS = 30  # where one did: a machine that is short of memory for a while
-USUAL_TIMES = 10  # a worker may take so many usual chunk times without a word
+USUAL_TIMES = 10  # a worker may be silent for so many usual chunk times
 LEAST_LIMIT_S = 60.0  # of silence
 FIRST_LIMIT_S = 600.0  # of silence, while no chunk time is known
 START_LIMIT_S = 120.0  # until a worker is ready, which takes 2 s on an idle machine
-REMEMBERED = 400  # times that are kept
+TIMES_KEPT = 400  # times that are kept
 CLOSING_S = 5.0
 LOOK_S = 0.5  # between two looks whether one is silent for too long
 Say = Callable[[str], None]
@@ -130,7 +130,7 @@ class LocalPool:
         self._scenes: deque[Scene] = deque()  # given to no process yet
         self._open: dict[Chunk, dict[Scene, Rows]] = {}
         self._deaths: Counter[Scene] = Counter()
-        self._chunk_s: deque[float] = deque(maxlen=REMEMBERED)  # by each scene
+        self._chunk_s: deque[float] = deque(maxlen=TIMES_KEPT)  # by each scene
         self._starts_failed = self._started = 0
         self._began = False
 
@@ -147,7 +147,7 @@ class LocalPool:
 
     @property
     def pids(self) -> list[int]:
-        """The processes, for who watches them."""
+        """The numbers of the processes."""
         return [worker.process.pid for worker in self._workers]
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:

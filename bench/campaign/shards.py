@@ -135,7 +135,7 @@ class Shards:
         self.remove(set(self._all()) - set(self.files()))
 
     def remove(self, shards: Iterable[Shard]) -> None:
-        """The ledger first: what it still names and isn't there was lost."""
+        """Remove files, from the ledger first: one that it names and that isn't there was lost."""
         gone = list(shards)
         if gone:
             self.ledger.remove(map(self._name, (shard.path for shard in gone)))
@@ -143,8 +143,8 @@ class Shards:
             shard.path.unlink(missing_ok=True)
 
     def remove_damaged(self, chunk: str = "") -> Damage:
-        """Forget what is not as it was written, so that it is done again, of the file of one
-        ``chunk`` or of all; gives back what was.
+        """Remove what is not as it was written, so that it is done again, of the file of one
+        ``chunk`` or of all; gives back what that was.
         """
         damage = self.ledger.damage(f"{SHARDS}/{chunk}")
         if damage:

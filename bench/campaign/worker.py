@@ -68,7 +68,7 @@ def _read(source: IO[bytes], requests: queue.SimpleQueue[Any]) -> None:
     while True:
         try:
             requests.put(pickle.load(source))  # noqa: S301 - of the process that started this one
-        except Exception:  # its end, or what this installation can't read: never waited for
+        except Exception:  # its end, or what this installation can't read
             os._exit(1)
 
 

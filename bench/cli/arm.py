@@ -15,6 +15,7 @@ from typing import Any
 import bench
 from bench.cli.arguments import CODES, code_of, complain, in_switches, print_json, say
 from instruments import LimitError, RealClock
+from textfiles.text import sentence
 
 
 def _link(given: argparse.Namespace) -> dict[str, Any]:
@@ -130,7 +131,7 @@ def verify(given: argparse.Namespace) -> int:
             f" {limits.length_mm:.2f} mm"
         )
     for text in found.contradictions:
-        say(f"{text[0].upper()}{text[1:]}.")
+        say(sentence(text))
     for check in found.checks:
         low, high = (found.u_mm * ratio for ratio in check.ratio_interval)
         say(

@@ -17,6 +17,7 @@ from typing import IO, cast
 
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
+from textfiles.text import sentence
 
 HERE = "127.0.0.1"
 BROADCAST = ipaddress.IPv4Address("255.255.255.255")
@@ -74,7 +75,7 @@ def console(given: argparse.Namespace) -> None:
         )
         with suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])
-        print(f"\n{given.left[0].upper()}{given.left[1:]}.")
+        print(f"\n{sentence(given.left)}")
 
 
 def _numbered(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:

@@ -16,13 +16,13 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bench.record.schema import LATER_WORD
+from bench.record.schema import FACTS
 
 ZERO = "0" * 64
 # keys that begin like this hold what doesn't repeat with the seed
 LOOK = "look "
 VARYING_FACTS = ("wall", "command", "recorded to", LOOK)
-OUTSIDE = "{}"  # what the plain digest covers of a link with looks alone: it stays as it was
+LOOKS_ALONE = "{}"  # what a link of looks covers without real time: nothing, so digest stays
 
 COLUMNS = "number, covers, digest, wall_covers, wall_digest"
 Spans = Mapping[str, tuple[int, int]]  # table -> first and last rowid
@@ -55,8 +55,8 @@ def add_link(db: sqlite3.Connection, spans: Spans, facts: Collection[str]) -> No
         repeats = spans or not all(key.startswith(LOOK) for key in facts)
         prints = {key: fact_fingerprint(db, key) for key in facts}
         own = {key: plain for key, (plain, _) in prints.items() if plain is not None}
-        covers |= {LATER_WORD: own} if repeats else {}
-        wall_covers[LATER_WORD] = {key: whole for key, (_, whole) in prints.items()}
+        covers |= {FACTS: own} if repeats else {}
+        wall_covers[FACTS] = {key: whole for key, (_, whole) in prints.items()}
     plain, whole = _text(covers), _text(wall_covers)
     head = linked(head_of(db), plain, whole)
     values = (head.number, plain, head.digest, whole, head.wall_digest)
@@ -67,7 +67,7 @@ def linked(before: Head, covers: str, wall_covers: str) -> Head:
     """The head with the link that follows ``before``. What it covers is JSON: table -> [first
     rowid, last rowid, SHA-256]; facts: key -> SHA-256.
     """
-    digest = _sha256(f"{before.digest}\n{covers}") if covers != OUTSIDE else before.digest
+    digest = _sha256(f"{before.digest}\n{covers}") if covers != LOOKS_ALONE else before.digest
     wall_digest = _sha256(f"{before.wall_digest}\n{digest}\n{wall_covers}")
     return Head(before.number + 1, digest, wall_digest)
 
@@ -80,7 +80,7 @@ def fingerprint(db: sqlite3.Connection, table: str, first: int, last: int) -> tu
 
 def fact_fingerprint(db: sqlite3.Connection, key: str) -> tuple[str | None, str]:
     """SHA-256 of a fact; the first is None where it doesn't repeat with the seed."""
-    plain, whole = _prints(LATER_WORD, db.execute("SELECT * FROM facts WHERE key = ?", (key,)))
+    plain, whole = _prints(FACTS, db.execute("SELECT * FROM facts WHERE key = ?", (key,)))
     return None if key.startswith(VARYING_FACTS) else plain, whole
 
 

@@ -18,9 +18,9 @@ from typing import Any
 
 from bench.config import ConfigError
 from bench.files import sha256_of
-from bench.record.chain import COLUMNS, OUTSIDE, Head, fact_fingerprint, fingerprint, linked
+from bench.record.chain import COLUMNS, LOOKS_ALONE, Head, fact_fingerprint, fingerprint, linked
 from bench.record.reader import opened
-from bench.record.schema import DATABASE, GUARDIAN_FACT, GUARDIAN_FILES, LATER_WORD, tables_of
+from bench.record.schema import DATABASE, FACTS, GUARDIAN_FACT, GUARDIAN_FILES, tables_of
 from instruments.errors import InstrumentError
 
 NOT_AS_WRITTEN = "The record is NOT as it was written"
@@ -48,8 +48,8 @@ _damage, _note = partial(Finding, Weight.DAMAGE), partial(Finding, Weight.NOTE)
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What was looked at (counts by name), what was found, the chain's last link as it is, and its
-    last but for looks that came later (`looks.write_looks`).
+    """What was checked (counts by name), what was found, and the chain's last link: ``head``, and
+    ``unlooked``, the last but for looks that came later (`looks.write_looks`).
     """
 
     counts: Mapping[str, int]
@@ -97,7 +97,7 @@ def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
             }
         except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
-    own = next((at for at, link in enumerate(reversed(links)) if link[1] != OUTSIDE), 0)
+    own = next((at for at, link in enumerate(reversed(links)) if link[1] != LOOKS_ALONE), 0)
     heads = [Head(link[0], link[2], link[4]) for link in links]
     head, unlooked = (heads[-1], heads[-1 - own]) if heads else (Head(), Head())
     return CheckResult({**counts, "links": head.number}, tuple(findings), head, unlooked)
@@ -203,7 +203,7 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
 
 
 def _guardians(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
-    """What guardians wrote has to be what the next session found; the last has no such witness."""
+    """What a guardian wrote has to be what the next session found; the last one's isn't checked."""
     there = {path.name for path in folder.glob(GUARDIAN_FILES)}
     pattern = GUARDIAN_FACT.format(GUARDIAN_FILES)
     found = db.execute("SELECT key, value FROM facts WHERE key GLOB ?", (pattern,))
@@ -238,7 +238,7 @@ def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
 
 def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
     """Each link follows from the one before, and covers the next rows, as they are."""
-    chained = [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
+    chained = [table for table in tables_of(db) if table not in ("chain", FACTS)]
     before, ends, facts = Head(), dict.fromkeys(chained, 0), dict[str, str]()
     for number, covers, digest, wall_covers, wall_digest in links:
         given = Head(number, digest, wall_digest)
@@ -248,8 +248,8 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
         before = given
         try:
             plain, whole = json.loads(covers), json.loads(wall_covers)
-            plain.pop(LATER_WORD, None)
-            facts |= whole.pop(LATER_WORD, {})
+            plain.pop(FACTS, None)
+            facts |= whole.pop(FACTS, {})
             yield from _rows(db, number, plain, whole, ends)
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             yield _damage(f"link {number} of the chain can't be read: {error!r}")

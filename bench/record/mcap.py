@@ -42,7 +42,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer
 from scipy.spatial.transform import Rotation
 
-from bench.config import ConfigError, read_calibration
+from bench.config import ConfigError, read_bytes, read_calibration
 from bench.record.reader import ALL, HEADS, opened
 from bench.record.schema import Row
 from detector.calibration.values import Calibration
@@ -292,10 +292,7 @@ def _image(at: Timestamp, run: Path, row: sqlite3.Row) -> Message:
     """A frame, checked against its SHA-256: the bytes of its file; pixels where it has 16 bits."""
     path, picture = run / row["path"], row["camera"]
     frame = FRAMES_OF.get(picture, picture)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
+    data = read_bytes(path)
     if hashlib.sha256(data).hexdigest() != row["sha256"]:
         all_of_it = f"'teatbench store check {in_command(run)}' says what else is not"
         raise ConfigError.plain(f"{path} is not as it was written: {all_of_it}")

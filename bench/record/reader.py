@@ -28,7 +28,7 @@ from bench.record.schema import (
     Row,
     version_of,
 )
-from bench.record.state import NO_ENDING, TRIP, holder_of, left_in
+from bench.record.state import NO_ENDING, TRIP, end_in_reserve, holder_of
 from bench.scoring.scene import SceneScore, scene_from_dict
 from textfiles.text import in_command
 
@@ -101,7 +101,7 @@ def _connected(path: Path) -> sqlite3.Connection:
 
 
 def _asked(address: str) -> sqlite3.Connection:
-    """SQLite says only when it is asked something whether it could open the file."""
+    """SQLite opens the file at the first query; so one is made here. Raises sqlite3.Error."""
     db = sqlite3.connect(address, uri=True, isolation_level=None)
     try:
         version_of(db)
@@ -227,8 +227,8 @@ class RunRecord:
 
 
 @contextmanager
-def understood(folder: Path) -> Iterator[sqlite3.Connection]:
-    """As `opened`; raises ConfigError for what can't be read in it, too."""
+def read_in(folder: Path) -> Iterator[sqlite3.Connection]:
+    """As `opened`; raises ConfigError also for rows that can't be read."""
     try:
         with opened(folder) as db:
             yield db
@@ -240,13 +240,13 @@ def understood(folder: Path) -> Iterator[sqlite3.Connection]:
 
 def read_facts(folder: Path) -> dict[str, Any]:
     """What holds for the whole run in ``folder``. Raises ConfigError, also where it never began."""
-    with understood(folder) as db:
+    with read_in(folder) as db:
         facts = _facts(db)
-    refuse_begun_by_halves(folder, facts)
+    refuse_unbegun(folder, facts)
     return facts
 
 
-def refuse_begun_by_halves(folder: Path, facts: Mapping[str, Any]) -> None:
+def refuse_unbegun(folder: Path, facts: Mapping[str, Any]) -> None:
     """Raises ConfigError where what a run is was not written down."""
     if "detectors" not in facts:
         why = "the bench died before it wrote down what is under test. Delete the folder."
@@ -255,7 +255,7 @@ def refuse_begun_by_halves(folder: Path, facts: Mapping[str, Any]) -> None:
 
 def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) -> RunRecord:
     """The run in ``folder``; unless ``whole`` without trials and readings. Raises ConfigError."""
-    with understood(folder) as db:
+    with read_in(folder) as db:
         db.row_factory = sqlite3.Row
         holder = holder_of(folder)  # first: a run that ends from here on has its ending
         facts, events = _facts(db), db.execute("SELECT * FROM events ORDER BY number")
@@ -263,7 +263,7 @@ def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) 
         sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
         at_end = {}
         if not holder and facts.get("ending", NO_ENDING) == NO_ENDING:
-            at_end = left_in(folder, max(sessions, default=1))
+            at_end = end_in_reserve(folder, max(sessions, default=1))
         record = RunRecord(
             folder=folder,
             facts=facts | at_end.get("facts", {}),
@@ -280,7 +280,7 @@ def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) 
             holder=holder,
             first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
         )
-    refuse_begun_by_halves(folder, record.facts)
+    refuse_unbegun(folder, record.facts)
     return record
 
 

@@ -2,7 +2,7 @@
 
 Columns that begin with ``wall`` hold real time; all others repeat with the seed. ``t_s`` and all
 ``…_s`` are seconds of the bench's monotonic clock, which starts anew with each session: a run that
-was resumed has several. Rows are only ever added, but for ``facts``, where the last word on a key
+was resumed has several. Rows are only ever added, but for ``facts``, where the last value of a key
 holds. A version's text never changes once a bench has written it.
 """
 
@@ -20,7 +20,7 @@ GUARDIAN_FILES = "guardian*.json"
 GUARDIAN_FACT = "wall {}"  # by the file's name, once a session follows
 
 OF_A_TRIAL = ("frames", "touches", "truth", "detections", "found", "scores")
-LATER_WORD = "facts"  # the one table whose rows are written over
+FACTS = "facts"  # the one table whose rows are written over
 
 SCHEMA = """
 CREATE TABLE sessions (number INTEGER PRIMARY KEY, bench TEXT NOT NULL, wall_time TEXT NOT NULL);

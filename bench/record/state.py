@@ -1,4 +1,4 @@
-"""In which of six words every surface says how a run stands, and which bench works in its folder.
+"""The state of a run, one of six words on every surface, and which bench works in its folder.
 
 The words are for people and for the key ``state``; the record's own ``ending`` has four values,
 which scripts read, and stays as it is.
@@ -51,11 +51,11 @@ def run_lock(folder: Path) -> Path:
 def holder_of(folder: Path) -> dict[str, Any]:
     """Which bench runs in ``folder``; empty for none, or one of this machine that has died."""
     holder = holder_in(run_lock(folder))
-    return holder if lives(holder) else {}
+    return holder if still_runs(holder) else {}
 
 
 def holder_in(path: Path) -> dict[str, Any]:
-    """What a lock's text says; an older bench padded it with zeros."""
+    """The bench that a lock file names; empty for none. An older bench padded it with zeros."""
     if not path.is_file():
         return {}
     try:
@@ -65,7 +65,7 @@ def holder_in(path: Path) -> dict[str, Any]:
     return holder if isinstance(holder, dict) else {}
 
 
-def left_in(folder: Path, session: int) -> dict[str, Any]:
+def end_in_reserve(folder: Path, session: int) -> dict[str, Any]:
     """``facts`` and ``events`` of ``session``'s end that its record had no room for; else empty."""
     with suppress(OSError, ValueError):
         found = json.loads((folder / RESERVE).read_bytes())
@@ -75,16 +75,17 @@ def left_in(folder: Path, session: int) -> dict[str, Any]:
 
 
 def this_process() -> dict[str, Any]:
-    """What tells it from all others, of this machine and of those before this one's last start."""
+    """Host, number and start: no other process has all three, not after a restart either."""
     import psutil
 
     pid = os.getpid()
     return {"host": platform.node(), "pid": pid, "created": psutil.Process(pid).create_time()}
 
 
-def lives(holder: Mapping[str, Any]) -> bool:
-    """Whether the process that `this_process` gave this of goes on: neither one that has ended and
-    waits for its parent, nor another that got its number. On another machine: as far as is known.
+def still_runs(holder: Mapping[str, Any]) -> bool:
+    """Whether the process that ``holder`` describes (`this_process`) still runs: neither one that
+    has ended and waits for its parent, nor another that got its number. One on another machine is
+    taken for running.
     """
     import psutil
 

@@ -1,7 +1,7 @@
 """The one writer of a run folder. Each write is one synced transaction and one link of the chain.
 
-A finished, skipped or checked trial is durable when its call returns, with all that was said
-before. So are events and facts, but for those within ``step``: they are durable when the step or
+A finished, skipped or checked trial is durable when its call returns, with all rows before it. So
+are events and facts, but for those within ``step``: they are durable when the step or
 `flush` ends, which has to come before a physical action counts as done. Events of `URGENT` kinds
 never wait. Bath readings wait for the next write, at most `FLUSH_EVERY` of them. A frame's file and
 folder are synced before its row is written.
@@ -27,8 +27,8 @@ from typing import Any, ClassVar
 from bench.files import Picture, write_pictures, write_synced
 from bench.record.chain import add_link
 from bench.record.reader import TrialRecord, check_version, database_in
-from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, Row, make_tables
-from bench.record.state import NO_ENDING, left_in
+from bench.record.schema import DATABASE, FACTS, OF_A_TRIAL, Row, make_tables
+from bench.record.state import NO_ENDING, end_in_reserve
 from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
 from textfiles.text import in_command
@@ -84,12 +84,12 @@ class Store:
             shutil.rmtree(part)  # of a process that had our number, and died
         with new_folders(folder.parent):
             try:
-                # one floor down: who lists runs doesn't take it for one
+                # one folder down, so that a list of runs doesn't have it
                 session = cls._made(part / folder.name, files)
-                # on Windows who looks through new files, as for viruses, holds their folder
+                # on Windows a virus scanner may hold the folder of new files
                 in_turn(lambda: (part / folder.name).rename(folder))
             finally:
-                # why it could not be made says more than why it can't be cleared away
+                # the error that kept it from being made is the one to raise
                 shutil.rmtree(part, ignore_errors=True)
         return cls(folder, session)
 
@@ -142,7 +142,7 @@ class Store:
     def fact(self, key: str, value: Any) -> None:
         """Write down (or over) something that holds for the whole run; it is kept as JSON."""
         row = {"key": key, "value": json.dumps(value, ensure_ascii=False), "wall_time": self._now()}
-        self._add_row(LATER_WORD, row, urgent=not self._steps)
+        self._add_row(FACTS, row, urgent=not self._steps)
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
         now = wall_time.isoformat(timespec="milliseconds")
@@ -155,14 +155,14 @@ class Store:
         self._add_row("bath", row, urgent=False)
 
     def flush(self) -> None:
-        """Make durable all that was said so far."""
+        """Make durable all rows so far."""
         with self._lock:
             if self._waiting:
                 self._write([])
 
     @property
     def unwritten(self) -> list[Row]:
-        """The events that were said and are not on the disk yet."""
+        """The events that are not on the disk yet."""
         with self._lock:
             return [row for table, row in self._waiting if table == "events"]
 
@@ -238,11 +238,11 @@ class Store:
         return number
 
     def _left(self, session: int) -> list[Row]:
-        """The events of its end for which there was no room then."""
+        """The events of the end of ``session`` for which there was no room then."""
         query = "SELECT value FROM facts WHERE key = 'ending'"
         (ending,) = self._db.execute(query).fetchone() or (None,)
         no_end = ending is None or json.loads(ending) == NO_ENDING
-        return list(left_in(self.folder, session).get("events", ())) if no_end else []
+        return list(end_in_reserve(self.folder, session).get("events", ())) if no_end else []
 
     def _now(self) -> str:
         return time_of_day().isoformat(timespec="milliseconds")
@@ -254,8 +254,8 @@ class Store:
                 self._write([])
 
     def _write(self, tables: Tables) -> None:
-        """Write what waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error;
-        what was said goes on waiting, unless a row is wrong.
+        """Write the rows that wait and ``tables``, all or nothing, durable on return. Raises
+        sqlite3.Error; the rows go on waiting then, unless one is wrong.
         """
         with self._lock:
             waiting: dict[str, list[Row]] = {}
@@ -279,12 +279,12 @@ class Store:
             spans: dict[str, tuple[int, int]] = {}  # first and last rowid by table
             facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
             for table, rows in tables:
-                verb = "REPLACE" if table == LATER_WORD else "INSERT"
+                verb = "REPLACE" if table == FACTS else "INSERT"
                 for row in rows:
                     marks = ", ".join("?" * len(row))
                     command = f"{verb} INTO {table} ({', '.join(row)}) VALUES ({marks})"
                     at = self._db.execute(command, tuple(row.values())).lastrowid or 0
-                    if table == LATER_WORD:
+                    if table == FACTS:
                         facts[row["key"]] = None
                     else:
                         spans[table] = (spans.get(table, (at, at))[0], at)
@@ -321,7 +321,7 @@ def release_memory() -> None:
 
 
 def _place(folder: Path) -> tuple[tuple[int, int], ...]:
-    """What the system knows the folder and its database by (inodes; file indices on Windows)."""
+    """How the system identifies the folder and its database (inodes; file indices on Windows)."""
     return tuple(
         (found.st_dev, found.st_ino) for found in (folder.stat(), (folder / DATABASE).stat())
     )

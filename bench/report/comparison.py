@@ -56,7 +56,7 @@ from reports.page import (
 )
 from reports.page import Verdict as PageVerdict
 from reports.render import write_report
-from textfiles.text import plural
+from textfiles.text import capital, plural, sentence
 
 JSON_VERSION = 1
 DIFFER = {
@@ -380,7 +380,7 @@ def _outcome(one: Comparison) -> str:
     won, change = row.success, row.radial
     same = f"{one.new.detector}: " if one.old.detector == one.new.detector else ""
     if one.compared.identical:
-        return f"{same}{one.compared.gate.reasons[0][0].upper()}{one.compared.gate.reasons[0][1:]}."
+        return f"{same}{sentence(one.compared.gate.reasons[0])}"
     said = {
         Verdict.MET: f"{same}{new} is not worse than {old}.",
         Verdict.NOT_MET: f"{same}{new} is worse than {old}.",
@@ -402,7 +402,7 @@ def _outcome(one: Comparison) -> str:
     far = f"{new}'s points lie {now} from the teat ends on average, {old}'s {before}"
     if change.p_value is not None and change.p_value >= ALPHA:
         far += f", {chance_text(change.poses, 'in which both found teats')}"
-    return f"{said} {poses}. {far[0].upper() if far.startswith('the ') else far[0]}{far[1:]}."
+    return f"{said} {poses}. {capital(far) if far.startswith('the ') else far}."
 
 
 def _tested(one: Comparison) -> str:

@@ -27,7 +27,7 @@ from bench.scoring.control_chart import BASE
 from reports.figures.course import control_chart
 from reports.page import Figure, Verdict
 from reports.runs import PAGE, Result, Run, Runs, write_runs
-from textfiles.text import plural, range_text
+from textfiles.text import plural, range_text, sentence
 
 THUMBNAIL_PX = (200, 150)
 QUALITY = 70
@@ -94,7 +94,7 @@ def _listed(folder: Path) -> Run:
         status = status_of(run, judge(run, stored_rules(folder)) if scored_too else ())
         facts = run.facts
         # what holds it back
-        how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
+        how = status.why if status.damage else sentence(status.headline)
         return Run(
             folder=folder,
             started=str(facts["wall_started"]),

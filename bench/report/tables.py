@@ -33,7 +33,7 @@ from detector.calibration import Calibration
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
 from reports.page import Cell, Notes, Part, Requirement, Requirements, Score, Scoreboard, Table
-from textfiles.text import plural
+from textfiles.text import capital, plural
 
 CONFIDENCE = 0.95
 RECALL, PRECISION = "recall, teats", "precision, answers"
@@ -48,7 +48,7 @@ def requirements(judgement: Judgement, rules: Rules, *, first: bool = True) -> R
     for d in own:
         figures, source = (measured(d), limit(d), margin(d)), sources.get(d.name, "")
         rows.append(Requirement(d.name, d.rule, d.n, *figures, d.verdict.value, source))
-    note = " ".join(f"{d.name[0].upper()}{d.name[1:]}: {d.sentence}" for d in own)
+    note = " ".join(f"{capital(d.name)}: {d.sentence}" for d in own)
     return Requirements(
         f"Requirements, detector {judgement.detector}: {judgement.verdict.value}", tuple(rows), note
     )
@@ -81,7 +81,7 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         decisions = [each.get(name) for each in by_name]
         limits = dict.fromkeys(limit(d) for d in decisions if d)
         scores = tuple(score(d) if d else None for d in decisions)
-        called = name[0].upper() + name[1:]
+        called = capital(name)
         if name in of_bench:
             called, scores = f"Bench: {name}" if several else called, scores[:1]
             shared.add(called)

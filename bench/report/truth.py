@@ -44,7 +44,7 @@ from bench.truth.uncertainty import CHI2_95, TruthMethod
 from detector.calibration import Calibration
 from instruments.world.phantom import TEAT_END
 from reports.page import Cell, Notes, Paragraph, Part, Table
-from textfiles.text import plural
+from textfiles.text import capital, plural, sentence
 
 
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
@@ -68,7 +68,7 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
         rows.append((who, off.name, off.value, off.uncertainty, off.poses, *worth))
     yield table("known_ends", rows, measured=check.measured, ends=check.ends, thermal=thermal)
     if text := check.unseen:
-        yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
+        yield Paragraph(sentence(text), tone="warn")
     for name, one in answers.items():
         if text := shift_text(check, one, limit_px):
             yield Paragraph(f"{name}: {text}.", tone="warn")
@@ -171,7 +171,7 @@ def _stated(run: RunRecord) -> Iterator[Part]:
         rows.append((check.name, check.df, u_mm * check.ratio, span, *figures, wrong))
     yield table("stated_arm", rows, level=100 * LEVEL)
     if wrong_u := too_small(run.facts):
-        text = f"{wrong_u[0].upper()}{wrong_u[1:]}: no error is accepted by this guard band."
+        text = f"{capital(wrong_u)}: no error is accepted by this guard band."
         yield Paragraph(text, tone="bad")
 
 

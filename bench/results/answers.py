@@ -37,7 +37,7 @@ from detector.protocol import (
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
 from instruments.drivers.entry_points import undisturbed
 from reports.sanitize import sanitized
-from textfiles.text import named
+from textfiles.text import named, short
 
 # an end that is farther from the world's origin is kept at so far, so that what is made of it stays
 # a number; it is a false one, as all are that lie outside of the working volume
@@ -63,7 +63,7 @@ def checked(detection: Any, calibration: Calibration | None = None) -> Detection
     whole = isinstance(hidden, int | np.integer) and not isinstance(hidden, bool)
     if not whole or not 0 <= hidden <= MOST_TEATS:
         raise DetectionFailure(
-            f"its answer counts {_short(hidden)} teats as hidden; a whole number from 0 to"
+            f"its answer counts {short(repr(hidden), 80)} teats as hidden; a whole number from 0 to"
             f" {MOST_TEATS} is asked for"
         )
     if not isinstance(teats, tuple | list):
@@ -140,10 +140,10 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str, wanted: str) -> Any:
     try:
         found = np.ma.asarray(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
     except (TypeError, ValueError, OverflowError):
-        raise DetectionFailure(f"{what} is {_short(given)}, not {wanted}") from None
+        raise DetectionFailure(f"{what} is {short(repr(given), 80)}, not {wanted}") from None
     plain = found.shape == shape and found.dtype.kind in "iuf" and not np.ma.is_masked(found)
     if not plain or not np.isfinite(found).all():
-        raise DetectionFailure(f"{what} is {_short(found.tolist())}, not {wanted}")
+        raise DetectionFailure(f"{what} is {short(repr(found.tolist()), 80)}, not {wanted}")
     return np.array(found, dtype=np.float64)
 
 
@@ -183,11 +183,6 @@ def _keeps(value: Any) -> bool:
         return all(text.isprintable() for text in value.ravel().tolist())
     picture = value.dtype.kind == "b" and value.ndim == 2
     return not picture or 0 < min(value.shape) <= max(value.shape) <= MOST_PICTURE_PX
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 LIMIT_MM = 5.0  # of the error of each teat end; thesis, section 1.4.3

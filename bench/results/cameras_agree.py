@@ -38,7 +38,7 @@ from detector.outline.known_ends import NO_THERMAL_MM, REACH_PX, EndOffsets, off
 from detector.outline.offsets import THERMAL_REACH_PX
 from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
-from textfiles.text import plural
+from textfiles.text import capital, plural
 
 UNCHECKED_FACT = "cameras not checked"  # of a recording: why, and what was looked at
 NOT_CHECKED = "not checked: whether the cameras show the known ends where they are"
@@ -394,7 +394,7 @@ def decide_cameras(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
     if check.disparity is None:
         if not check.unseen:
             return nothing
-        text = f"{_capital(check.unseen)}. {NEXT_UNSEEN}"
+        text = f"{capital(check.unseen)}. {NEXT_UNSEEN}"
         return replace(nothing, n=check.poses, verdict=Verdict.INCONCLUSIVE, sentence=text)
     beyond, offsets = check.beyond(rule), check.offsets
     undecided = [one for one in offsets if abs(one.value) + one.uncertainty > limit_of(rule, one)]
@@ -426,9 +426,5 @@ def decide_cameras(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
         margin=limit - abs(worst.value),
         uncertainty=worst.uncertainty,
         verdict=verdict,
-        sentence=f"{_capital(text)}.{advice}",
+        sentence=f"{capital(text)}.{advice}",
     )
-
-
-def _capital(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}"

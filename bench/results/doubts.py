@@ -1,7 +1,7 @@
-"""Whether a recording's calibration can be: its pair sees depth, its pictures are of its size and
-not exchanged, and what its truth calls visible has a place in them. Where not, nothing is scored:
-every detector would be charged with what no detector can find. The truth of a run's trial is asked
-the same.
+"""Whether a recording's calibration can be right: its pair sees depth, its pictures are of its size
+and not exchanged, and what its truth calls visible has a place in them. Where not, nothing is
+scored: every detector would be charged with what no detector can find. The truth of a run's trial
+is checked in the same way.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LEAST_DISPARITY_PX = 2.0  # of less, one pixel is worth half of the distance
 
 
 def doubts_of(recording: Recording, calibration: Calibration) -> tuple[str, ...]:
-    """Sentences' parts that say why the calibration can't be of this recording; () where it may."""
+    """Why the calibration can't be of this recording, each part of a sentence; () where it may."""
     pair = (f"calibration.toml, [stereo] T: {w}" for w in pair_faults(calibration.right_from_left))
     found = [*pair, *_sizes(recording, calibration)]
     found = found or [*_exchanged(recording, calibration)]

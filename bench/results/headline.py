@@ -1,4 +1,4 @@
-"""What a run's record comes to, in sentences, of `status` alone: why, and what to do next."""
+"""Why a run's status is what it is, and what to do next, as sentences for `status`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bench.rig.by_hand import BY_HAND
 from bench.safety.latch import latch_beside
 from bench.scoring.decisions import Decision, Verdict
 from detector.protocol import Outcome
-from textfiles.text import full_stop, in_command, plural
+from textfiles.text import capital, full_stop, in_command, plural
 
 LONGEST_WORDS = 200
 AFTER_FAULT = (
@@ -183,7 +183,7 @@ def _one(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[Verdict, str,
     same = {verdict} | ({Verdict.NOT_MEASURED} if verdict is Verdict.INCONCLUSIVE else set())
     worst = [(j.detector, d) for j in judgements for d in j.decisions if d.verdict in same]
     why = "\n".join(
-        f"{f'{name}: ' if len(judgements) > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}"
+        f"{f'{name}: ' if len(judgements) > 1 else ''}{capital(d.name)}: {d.sentence}"
         for name, d in worst
     )
     truth = [row for trial in run.trials for row in trial.truth]

@@ -13,7 +13,7 @@ from typing import Any
 
 from bench.config import ConfigError
 from bench.files import write_synced
-from bench.record.state import State, holder_in, lives, this_process
+from bench.record.state import State, holder_in, still_runs, this_process
 from bench.results.status import RunStatus, read_status
 from instruments.clock import wall_time
 from textfiles.text import plural
@@ -132,7 +132,7 @@ def read_queue(path: Path) -> QueueStatus:
         rows = zip(found["scripts"], runs, strict=True)
         scripts = tuple(QueueEntry(one, run, _status(path.parent, run)) for one, run in rows)
         ended = found["ended"]
-        if not ended and not lives(found):
+        if not ended and not still_runs(found):
             ended = DIED
         return QueueStatus(path.stem, found["rig"], found["started"], scripts, ended)
     except (LookupError, TypeError, ValueError) as error:

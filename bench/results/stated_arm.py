@@ -91,7 +91,7 @@ def _touch_mm2(stated: Mapping[str, Any]) -> float:
     return float(stated["u_mm"] ** 2 + stated["resolution_mm"] ** 2)
 
 
-TOLD_FROM = 0.05  # chance of refusal that a limit may have and nothing is said
+REPORTED_ABOVE = 0.05  # chance that a limit refuses an arm that is as stated
 
 
 def location_limit_mm(
@@ -157,7 +157,7 @@ def contradictions(
     dated: Verification | None,
 ) -> Iterator[str]:
     """A sentence for each limit of the script that refuses an arm exactly as the rig states it in
-    more than `TOLD_FROM`. ``touches``: of the check point, before and after the trials.
+    more than `REPORTED_ABOVE` of runs. ``touches``: of the check point, before and after trials.
     """
     u_mm, df = sqrt(_touch_mm2(stated)), stated["df"]
     sizes = [*touches, *(test.n for test in (dated.locations if dated else ()))]
@@ -172,7 +172,7 @@ def contradictions(
         fits = _length_limit_mm(stated, dated.lengths)
         chances.append(("length_limit_mm", rule.length_limit_mm, 1.0 - float(within), fits))
     for key, limit_mm, chance, fits in chances:
-        if chance > TOLD_FROM:
+        if chance > REPORTED_ABOVE:
             yield (
                 f"{key} = {limit_mm:g} mm contradicts the arm's stated accuracy of"
                 f" {stated['u_mm']:g} mm along an axis: it refuses an arm that is exactly as stated"

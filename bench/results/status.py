@@ -1,8 +1,8 @@
 """How a run stands at one moment: the one object that terminal, console, list of runs, JUnit,
-report, notifications and JSON show. They take no word on it from anywhere else.
+report, notifications and JSON show. They take it from nowhere else.
 
 A run under way writes it into `console/live.json` in its folder (`RunStatus.as_dict`); a run that
-has ended has it in its record. `read_status` gives either, whoever asks and from which process.
+has ended has it in its record. `read_status` gives either, in any process.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from bench.safety.bath_monitor import NO_GUARDIAN
 from instruments.clock import wall_time as now
 from instruments.operators.mailbox import FOLDER, read_prompt
 from instruments.operators.operator import time_left
-from textfiles.text import in_command, plural, time_text
+from textfiles.text import in_command, plural, sentence, time_text
 
 VERSION = 1  # of `RunStatus.as_dict`
 LIVE, RUN_JSON = "live.json", "report/run.json"
@@ -118,7 +118,7 @@ class InstrumentStatus:
         return f"{self.name}: {SAFE_WORDS[self.safe]}{last}"
 
     def later(self, seconds: float) -> InstrumentStatus:
-        """The same, said so many seconds ago."""
+        """The same, as it reads so many seconds later."""
         return replace(self, age_s=None if self.age_s is None else self.age_s + seconds)
 
 
@@ -207,7 +207,7 @@ class RunStatus:
 
     @property
     def at_end(self) -> tuple[InstrumentStatus, ...]:
-        """The instruments once they are let go."""
+        """The instruments as they stand at the end, their links closed."""
         return tuple(replace(one, link=Link.CLOSED) for one in self.instruments)
 
     @property
@@ -267,8 +267,8 @@ class RunStatus:
         return "; ".join(part for part in (self.pose, doing, *parts.values()) if part)
 
     def later(self, folder: Path | None = None) -> RunStatus:
-        """As it reads now where the last word of the bench is of ``wall_time``; ``folder``: the
-        run's, for what to do next.
+        """As it reads now, where the bench wrote it at ``wall_time``; ``folder``: the run's, for
+        what to do next.
         """
         said_s = (now() - datetime.fromisoformat(self.wall_time)).total_seconds()
         age_s = float(max(0, int(said_s)))  # a computer's clock may have been set back
@@ -360,14 +360,14 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
     if state is State.RUNNING and not run.damage:
         return replace(status, why=why, next=status.next or (then,))
     if not run.damage and (said := _safety(run, status)):
-        return replace(status, why=f"{why} {said[0].upper()}{said[1:]}.", next=(then,))
+        return replace(status, why=f"{why} {sentence(said)}", next=(then,))
     look = () if run.damage or run.facts.get("kind") == "recorded" else _look(status)
     return replace(status, why=why, next=(*status.unsafe, *look, then))
 
 
 def read_status(folder: Path) -> RunStatus:
-    """Of the run in ``folder``, quickly, for whoever watches: verdicts are those of its report,
-    where that is of the record as it is; a record that was written to since is checked. Raises
+    """The status of the run in ``folder``, read quickly: verdicts are those of its report, where
+    that is of the record as it is; a record that was written to since is checked. Raises
     ConfigError.
     """
     run = read_run(folder, whole=False)
@@ -397,7 +397,7 @@ def under_way(folder: Path) -> bool:
 
 
 def live_status(folder: Path) -> RunStatus | None:
-    """Of a run that is under way, as it said last; None where it has said nothing yet."""
+    """The last status that a run under way has written; None before the first."""
     return _as_asked(live.later(folder), folder) if (live := _live(folder)) else None
 
 
@@ -428,7 +428,7 @@ def _reader(kind: Any) -> TypeAdapter[Any]:
 
 
 def _live(folder: Path) -> RunStatus | None:
-    """What the run in ``folder`` said last of itself."""
+    """The last status that the run in ``folder`` has written."""
     with suppress(OSError, ValueError, LookupError, TypeError):
         found = json.loads((folder / FOLDER / LIVE).read_bytes())
         said: RunStatus = _reader(RunStatus).validate_python(found["status"])

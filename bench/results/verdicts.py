@@ -69,6 +69,7 @@ from bench.truth.arm_check import (
     shift_mm,
 )
 from detector.protocol import Outcome
+from textfiles.text import sentence
 
 _CHECKS = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
 TESTS_FACT = "tests_not_passed"  # requirement -> test -> "failed", "error" or "failed as expected"
@@ -103,7 +104,7 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
         measured=largest,
         margin=limit - largest,
         verdict=(Verdict.NOT_MET if against else Verdict.INCONCLUSIVE if missing else Verdict.MET),
-        sentence=f"{reasons[0].upper()}{reasons[1:]}.",
+        sentence=sentence(reasons),
     )
 
 

@@ -218,8 +218,8 @@ def open_stage(
     dialect: str = "grbl",
     capture: CaptureFile | None = None,
 ) -> Iterator[Stage]:
-    """The stage at ``url`` (what it has of X, Y, Z and A, and speaks: grbl, marlin), or that of
-    ``rig``; connected, in real time, stopped at the end. Raises ConfigError, InstrumentError.
+    """The stage at ``url`` (``axes`` of X, Y, Z, A; ``dialect`` grbl, marlin), or that of ``rig``:
+    connected, in real time, stopped at the end. Raises ConfigError, InstrumentError.
     """
     if url:
         _refuse_address("stage", url, stage_url)
@@ -300,7 +300,7 @@ def open_bath(
             rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
         ) as devices,
         lent(cast(Bath, devices.bath), "bath") as bath,
-    ):  # no other speaks profile rows
+    ):  # no plug-in has the rows of a profile
         yield bath
 
 
@@ -338,8 +338,7 @@ def check_target(
     stage: Stage, x_mm: float, y_mm: float, *, z_mm: float | None = None, a_deg: float | None = None
 ) -> None:
     """Raise LimitError for a place that the stage can't go to, before anything moves."""
-    wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-    target = declared(wanted, stage.axes, who="stage")
+    target = declared({"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}, stage.axes, who="stage")
     check_within(target, stage.settings, "move", who="stage")
 
 

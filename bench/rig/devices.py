@@ -68,7 +68,7 @@ def attempt(name: str, step: Callable[[], object], done: str = "is safe") -> Saf
 @dataclass(frozen=True, slots=True)
 class Devices:
     """All that is open. ``exact_ends``, world mm (n, 3), is there on an emulated rig only.
-    ``heard``: when each instrument last sent anything; ``safed``: how making it safe went;
+    ``answered_s``: when each instrument last answered; ``safed``: how making it safe went;
     ``practice``: while it lasts, what is left in a run's folder happens to emulators in real time.
     """
 
@@ -79,7 +79,7 @@ class Devices:
     cameras: Cameras
     operator: Operator
     exact_ends: Callable[[], NDArray[np.float64]] | None = None
-    heard: dict[str, float] = field(default_factory=dict)
+    answered_s: dict[str, float] = field(default_factory=dict)
     safed: dict[str, Safing] = field(default_factory=dict)
     practice: Callable[[Path], AbstractContextManager[None]] = lambda _: nullcontext()
 
@@ -136,8 +136,8 @@ class Devices:
             found = attempt("robot" if robot else name.split()[0], step)
             self.safed[found.name] = found
             if not found.is_safe and found.name in BY_HAND:
-                heard_s = self.heard.get(found.name)
-                age_s = None if heard_s is None else self.clock.now() - heard_s
+                answered_s = self.answered_s.get(found.name)
+                age_s = None if answered_s is None else self.clock.now() - answered_s
                 unsafe[found.name] = f"{BY_HAND[found.name]}: {silent(found.brief, age_s)}"
             for text in found.texts[name.startswith("pump") and found.is_safe :]:
                 report(text)

@@ -138,7 +138,7 @@ class EmulatedRig:
             raise
 
     def _bath_controller(self, rig: LoadedRig) -> BathEmulator | LineEmulator | None:
-        """By the rig's profile; None where no emulator speaks it and another bath is used."""
+        """By the rig's profile; None where no emulator has its protocol (another bath is used)."""
         known, plant = rig.profile, self.world.plant
         if isinstance(known, RegisterProfile):
             return BathEmulator(plant, known, self._clock, framing=self._framing(known))

@@ -109,7 +109,7 @@ def probe(url: str, clock: Clock, report: Callable[[str], None]) -> FoundInstrum
 
 
 def _talks(url: str, clock: Clock) -> bool:
-    """Whether something comes unasked for as long as one listens."""
+    """Whether something sends much within `TALKS_S` without being asked."""
     try:
         with closing(Link(url, clock, who="bath")) as link:
             return len(link.drain(0.2, at_most_s=TALKS_S)) > TALK_BYTES

@@ -6,9 +6,9 @@ when the bench dies or hangs.
 
 The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …``
 when its main thread makes no progress, ``done`` once it has made the bath safe itself, ``take
-over`` when it could not. The end of the input without a last word is the bench's death: it comes at
-once, however the bench died, on every system. Each ``alive`` is echoed on its standard output, so
-that the bench notices a guardian that is frozen. While the bench lives the guardian owns no link,
+over`` when it could not. The input's end without one of the last two is the bench's death: it
+comes at once, however the bench died, on every system. Each ``alive`` is echoed on its standard
+output, so that the bench notices a guardian that is frozen. While the bench runs, it owns no link,
 and the bath's lock (`hand_over`), by which the next session's guardian takes the bath from one that
 acts. All that it needs is loaded before, and locked in memory where the system allows it, because a
 dying machine may have no disk any more. A pump with a switch of its own runs on for a minute behind
@@ -46,7 +46,7 @@ from instruments.errors import InstrumentError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
 ACTS = "acts"  # to the bench, which may live after all
-HANG_S = 10.0  # without a word from the bench
+HANG_S = 10.0  # without a line from the bench
 STOPPED_S = 2.0  # without one from a bench that the system has stopped (SIGSTOP, Ctrl-Z)
 LOOK_S = 0.25  # between looks at whether the bench is being ended
 WANTED_S = 0.1  # between looks at whether another guardian waits for the bath
@@ -71,7 +71,7 @@ class Record:
             write_note(self._path, self._facts)
 
     def hand_over(self) -> None:
-        """The last word, and the end of this process, whatever its other thread waits for."""
+        """Write that the bath is handed over, and end this process, whatever its threads do."""
         with self._lock:
             write_note(self._path, self._facts | {"handed_over": _text(wall_time())})
             os._exit(0)
@@ -98,7 +98,7 @@ class HeartbeatReader:
                 if dying:
                     return "died", "the system is ending it", stopwatch_s()
                 state = self._bench.state()
-                if dying := state == "dying":  # its last word may be in the pipe
+                if dying := state == "dying":  # its last line may be in the pipe
                     continue
                 if why := _hang(stopwatch_s() - last_s, stopped=state == "stopped"):
                     return "hung", why, last_s
@@ -269,7 +269,7 @@ def _make_safe(
 
     def stand_by() -> None:
         bath.safe()
-        bath.release_watchdog(0.0)  # as it is shipped: nobody asks it from now on
+        bath.release_watchdog(0.0)  # as shipped: no program asks it from now on
 
     def note(said: dict[str, Any]) -> None:
         safe = {} if "error" in said else {"wall_safe": _text(wall_time()), "error": ""}

@@ -64,7 +64,7 @@ class Heartbeat:
             )
 
     def alive(self, sleep_s: float = 0.0) -> None:
-        """The calling thread lives, and will sleep for ``sleep_s``."""
+        """Note that the calling thread runs, and that it will sleep for ``sleep_s``."""
         now_s, caller = stopwatch_s(), threading.get_ident()
         with self._lock:
             for doing in self._doing.values():
@@ -153,7 +153,7 @@ class GuardianClient:
 
     @property
     def lost(self) -> str | None:
-        """Why the bath is no longer guarded; None while the guardian lives."""
+        """Why the bath is no longer guarded; None while the guardian runs."""
         code = self._process.poll()
         if self._ended.is_set():
             return None
@@ -198,7 +198,7 @@ class GuardianClient:
                 self._log.unlink()
 
     def _await_ready(self, target: GuardianTarget) -> None:
-        """Its first line. Raises LinkError with its last words where it says anything else."""
+        """Wait for its first line. Raises LinkError with the end of its log if it is not ready."""
         late = not self._said.wait(START_S)
         if self._ready:
             return

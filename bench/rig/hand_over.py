@@ -3,9 +3,9 @@ one takes the bath over.
 
 Each bath has two file locks of the system, in a folder of this machine. A guardian holds ``owner``;
 one that waits for the bath holds ``next``. A guardian that acts for a bench that is gone looks
-whether ``next`` is held, says in its record that it hands over, and ends. That its lock is free is
-its word: the system frees a lock with its process and never before. One that does not answer is
-ended; one whose bench lives keeps the bath.
+whether ``next`` is held, writes into its record that it hands over, and ends. A free lock shows
+that it has ended: the system frees a lock with its process and never before. One that does not
+answer is ended; one whose bench still runs keeps the bath.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from bench.record.state import lives
+from bench.record.state import still_runs
 from instruments.bath.connection import LineError, parse_line
 from instruments.errors import LimitError
 from textfiles.whole import replace_whole
@@ -105,17 +105,17 @@ class BathLock:
                 self._next.release()
         # one that has ended as it should takes its note away
         if (before := self._read()) and not ended:
-            how = "handed the bath over" if before.get(HANDED_OVER) else "ended without a last word"
+            how = "handed the bath over" if before.get(HANDED_OVER) else "ended before handing over"
             ended = f"{_named(before)} {how}"
         self._say()
         return ended
 
     def acts(self) -> None:
-        """The bench is gone: from here on the bath is handed over to whoever waits for it."""
+        """The bench is gone: from now on the next guardian that waits may have the bath."""
         self._say(acting=True)
 
     def hand_over(self) -> None:
-        """Say so, to whoever waits; the process has to end now."""
+        """Note that the bath is handed over; this process has to end now."""
         self._say(acting=True, **{HANDED_OVER: True})
 
     @property
@@ -147,8 +147,8 @@ class BathLock:
             command = psutil.Process(int(holder["pid"])).cmdline() if holder else []
         if MODULE not in " ".join(command):
             raise self._kept("a process that doesn't say who it is holds it")
-        if not holder.get("acting") and lives({"pid": holder["bench"]}):
-            raise self._kept(f"{_named(holder)} guards it for a bench that lives")
+        if not holder.get("acting") and still_runs({"pid": holder["bench"]}):
+            raise self._kept(f"{_named(holder)} guards it for a bench that still runs")
         with suppress(psutil.Error):
             psutil.Process(int(holder["pid"])).kill()
         with suppress(Timeout):

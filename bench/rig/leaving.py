@@ -51,8 +51,7 @@ def target_of(rig: LoadedRig, *, bath: str = "", pump: str = "", stage: str = ""
         inferred = rig.rig.bath.allow_inferred
         target = GuardianTarget(bath, rig.profile_source, pump, rig.relay_source, inferred)
     if stage and table:
-        at = StageTarget(stage, table.baud, table.dialect, table.axes)
-        target = replace(target, stage=at)
+        target = replace(target, stage=StageTarget(stage, table.baud, table.dialect, table.axes))
     return target
 
 
@@ -139,7 +138,7 @@ class Leaving:
         return folder
 
     def _feed(self, bath: Bath) -> None:
-        """Keep a controller's own watchdog fed while this process lives, whatever else it does."""
+        """Keep a controller's own watchdog fed while this process runs, whatever else it does."""
         seconds = bath.profile.watchdog_s
         if seconds is None or not bath.watched:
             return
@@ -148,7 +147,7 @@ class Leaving:
         def feed() -> None:
             if self._left or not bath.heats:
                 return
-            with suppress(InstrumentError):  # for whoever reads it to notice
+            with suppress(InstrumentError):  # the next reading raises it
                 bath.read()
             clock.call_at(clock.now() + seconds / FED_TIMES, feed)
 
@@ -201,7 +200,7 @@ class OpenInstruments(AbstractContextManager[Devices]):
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool | None:
         atexit.unregister(self._at_end)
         if self._leaving and os.getpid() != self._process:
-            return None  # forked from whoever opened them, whose links these are
+            return None  # in a forked process: the links are its parent's
         leaving, self._leaving = self._leaving, None
         unsafe = leaving.leave() if leaving else None
         if unsafe and error:

@@ -19,7 +19,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from bench.config import ConfigError
-from bench.record.state import holder_in, lives, this_process
+from bench.record.state import holder_in, still_runs, this_process
 from bench.rig.loading import LoadedRig
 from instruments.clock import wall_time
 from instruments.errors import LimitError
@@ -67,13 +67,13 @@ def locked(
 
 
 def _clear(path: Path) -> None:
-    """The folder may be gone meanwhile."""
+    """Empty the text of the lock; its folder may be gone."""
     with suppress(OSError):
         path.write_bytes(b"")
 
 
 def _in_use(path: Path, holder: dict[str, Any], who: str) -> RigInUseError:
-    if lives(holder) and holder["pid"] == os.getpid():
+    if still_runs(holder) and holder["pid"] == os.getpid():
         hint = f"Leave the block that opened it first, or use that one's {who}."
         return RigInUseError(who, f"this process has it: {_named(holder)}", hint=hint)
     hint = f"Wait for it to end, or end it. Where you know that it is gone, delete {path}."

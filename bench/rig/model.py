@@ -405,7 +405,7 @@ class DepthTable(OneCamera):
         return replace(super().settings, depth=True)
 
     def conversion(self) -> Conversion:
-        """Files without a word are as in a recording: tenths of a millimetre."""
+        """Files without a declared unit are in tenths of a millimetre, as in a recording."""
         mm = self.mm_per_count or (0.1 if self.url.startswith("files:") else None)
         ranging = Ranging(mm, self.mm_at_zero, self.no_measurement) if mm else None
         return replace(super().conversion(), ranging=ranging)

@@ -14,14 +14,14 @@ SKEW_RAD = 0.1  # of the stage's axes to the world's
 
 
 class MoveCheck:
-    """Against the ``trials`` before: that a phantom stands elsewhere than planned is no fault."""
+    """Compares the ends' moves with the stage's; where the phantom stands doesn't matter."""
 
     def __init__(self) -> None:
         self.trials: list[str] = []  # that agree with one another
         self._before = "", np.zeros(3), np.zeros(3)
 
     def doubt(self, trial: str, fixed: str, expected_mm: Floats, touched_mm: Floats) -> str:
-        """What ends (n, 3) say against the stage; else "", and the next are held against them."""
+        """Why ends (n, 3) contradict the stage's move; "" where not: the next are held to them."""
         was_fixed, was_expected_mm, was_touched_mm = self._before
         now = fixed, expected_mm.mean(axis=0), touched_mm.mean(axis=0)
         sent_mm = now[1] - was_expected_mm

@@ -76,12 +76,12 @@ class BringUpError(InstrumentError):
 
 
 class AnswerTimes(Tap):
-    """Notes when an instrument was last asked what it answered; all goes on to ``then``. What it
-    sent may have waited here for long, so that the time of reading says nothing.
+    """Notes when each instrument was asked the question that it answered last; everything goes on
+    to ``then``. The time of reading is not used: an answer may have waited for long.
     """
 
-    def __init__(self, name: str, clock: Clock, heard: dict[str, float], then: Tap) -> None:
-        self._name, self._clock, self._heard, self._then = name, clock, heard, then
+    def __init__(self, name: str, clock: Clock, answered_s: dict[str, float], then: Tap) -> None:
+        self._name, self._clock, self._answered_s, self._then = name, clock, answered_s, then
         self._asked_s = 0.0
 
     def opened(self, url: str) -> None:
@@ -96,7 +96,7 @@ class AnswerTimes(Tap):
         self._then.closed(why)
 
     def received(self, data: bytes) -> None:
-        self._heard[self._name] = self._asked_s
+        self._answered_s[self._name] = self._asked_s
         self._then.received(data)
 
 
@@ -125,7 +125,7 @@ def open_instruments(
 
     What was made to heat or to move is made safe at the end (NotSafeError where it could not be,
     which ``warn`` gets too), and by a guardian where the process dies. ``leave_running``: it goes
-    on, which is noted beside the rig file; ``supervised``: the caller sees to all that.
+    on, which is noted beside the rig file; ``supervised``: the caller does all of that.
     """
     if twin is None:
         rig.refuse_unfilled(*names)
@@ -268,7 +268,7 @@ class _BringUp:
     identify: bool
 
     def __post_init__(self) -> None:
-        self._heard: dict[str, float] = {}
+        self._answered_s: dict[str, float] = {}
         self._ports = self.twin.urls if self.twin else {}  # of emulators
         # a port of an emulator for what is emulated, else what the rig file says
         r = self.rig.rig
@@ -305,7 +305,7 @@ class _BringUp:
         exact = twin and {"arm", "cameras"} <= set(self.rig.rig.emulated)
         devices = self.clock, arm, one("bath"), one("stage"), one("cameras")
         exact_ends = twin.world.ends_mm if twin and exact else None
-        return Devices(*devices, answerer or hands, exact_ends, self._heard)
+        return Devices(*devices, answerer or hands, exact_ends, self._answered_s)
 
     def _follow(self, twin: EmulatedRig, bath: Bath | None, stage: Stage | None) -> None:
         """The emulated world follows what isn't emulated."""
@@ -342,7 +342,7 @@ class _BringUp:
 
     def _tap(self, name: str) -> Tap:
         then = self.capture.tap(name, self.clock) if self.capture else Tap()
-        return AnswerTimes(name, self.clock, self._heard, then)
+        return AnswerTimes(name, self.clock, self._answered_s, then)
 
     def _link(self, name: str, baud: int) -> Link:
         return Link(self._urls[name], self.clock, who=name, baud=baud, tap=self._tap(name))

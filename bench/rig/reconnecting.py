@@ -1,6 +1,6 @@
-"""An instrument that drops out and comes back: which one a fault speaks of and in what way, what a
+"""An instrument that drops out and comes back: which one a fault is of and of what kind, what a
 person checks then, how it is reached and homed again, and the wait for it. A run waits as
-`bench.run.interruptions` says; outside of a run `Reconnecting` waits for an arm or a stage.
+`bench.run.interruptions` says; outside of a run `Reconnecting` waits.
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ def wait_for(
     wait: Callable[[float], None],
     say: Callable[[str], None],
 ) -> None:
-    """Until ``attempt`` passes. Raises ``fault`` after ``patience_s``, and what ``wait`` raises.
-    What else keeps the instrument away than a link without an answer is said, once each: figures
-    that differ are no other reason.
+    """Wait until ``attempt`` passes. Raises ``fault`` after ``patience_s``, and what ``wait``
+    raises. ``say`` gets each new reason but a link without an answer; one with other figures is
+    not new.
     """
     started_s, said = now(), _reason(fault)
     while True:
@@ -134,11 +134,11 @@ def is_loss(fault: InstrumentError) -> bool:
     return diagnosis(fault)[1] in (GONE, GARBLED)
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Reconnecting:
-    """Waits outside of a run for what drops out, ``away_s`` each time. ``ready``: by name, makes an
-    instrument ready again, or raises while it is away; ``ask`` and ``say`` speak to the person,
-    ``kept`` says that nothing is lost.
+    """Waits outside of a run for an instrument that drops out, ``away_s`` each time. ``ready``, by
+    the instrument's name, makes it ready again, and raises while it is away. ``ask`` and ``say``
+    reach the person; ``kept`` is the sentence that nothing is lost.
     """
 
     ready: Mapping[str, Callable[[], object]]
@@ -156,12 +156,22 @@ class Reconnecting:
         clock: Clock,
         say: Callable[[str], None],
         away_s: float,
+        *,
         stage: Stage | None = None,
+        look: Callable[[], object] | None = None,
+        homed: Callable[[], None] = no_step,
     ) -> Reconnecting:
-        """For an arm, and the stage where there is one."""
-        ready: dict[str, Callable[[], object]] = {"arm": partial(reach_arm, arm, ask)}
-        if stage is not None:
-            ready["stage"] = partial(reach_stage, stage)
+        """For an arm, also a stage and cameras where given. ``look`` raises while the cameras are
+        away; ``homed`` is called each time the arm was homed again.
+        """
+
+        def ready_arm() -> None:
+            reach_arm(arm, ask)
+            homed()
+
+        ready: dict[str, Callable[[], object]] = {"arm": ready_arm}
+        ready |= {"stage": partial(reach_stage, stage)} if stage else {}
+        ready |= {"cameras": look} if look else {}
         return cls(ready, ask, clock, say, away_s)
 
     def keep(self, work: Callable[[], Done]) -> Done:
@@ -174,9 +184,9 @@ class Reconnecting:
         return work()
 
     def wait(self, fault: InstrumentError) -> None:
-        """Until what ``fault`` speaks of is ready again; a stage that refuses is looked at by the
-        person first. Raises ``fault`` where it stays away, and one that is no loss of what there
-        is; OperatorAbort.
+        """Wait until the instrument of ``fault`` is ready again; a person looks at a stage that
+        refuses first. Raises ``fault`` where it stays away, and one that is no loss of an
+        instrument in ``ready``; OperatorAbort.
         """
         name, how = diagnosis(fault)
         jammed = (name, how) == ("stage", REFUSES)

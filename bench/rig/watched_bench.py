@@ -1,4 +1,4 @@
-"""The bench as its guardian sees it: a process that lives, is stopped or is being ended."""
+"""The bench as its guardian sees it: a process that runs, is stopped or is being ended."""
 
 from __future__ import annotations
 

@@ -16,9 +16,7 @@ from detector.protocol import CamerasOff, Context
 
 
 class CamerasSoFar:
-    """What the known ends of a run say of its cameras up to now, for the detectors' context: from
-    ``trials`` of its earlier sessions on.
-    """
+    """The check of a run's cameras for the detectors' context."""
 
     def __init__(self, trials: Iterable[TrialRecord] = ()) -> None:
         self._seen: dict[str, list[dict[str, Any]]] = defaultdict(list)

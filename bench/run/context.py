@@ -66,10 +66,9 @@ class RunContext:
         self.check_interrupts: Callable[[], None] = lambda: None
         self.live = Live(self.store.folder)
         self.progress: Callable[[], Mapping[str, Any]] = dict
-        self.safing = self.made_safe = False  # the run is on its way to safe; it was gone
-        # the instrument that dropped out, in what way, what a person does about it, and what once
-        # it is back and is made ready
-        self.away = self.away_how = self.check_away = self.readied = ""
+        self.safing = self.made_safe = False  # the run goes to safe; it has tried all of it
+        self.away = self.away_how = ""  # the instrument that dropped out, and in what way
+        self.check_away = self.readied = ""  # what a person does: while it is away, while it homes
         self.last: dict[str, str] = {}  # an instrument's last value, in words
         self.under_test: Sequence[str] = ()
         self._asked, self._asked_s = "", 0.0
@@ -120,7 +119,7 @@ class RunContext:
         sleep_looking(self.clock, seconds, self.check, LOOK_S)
 
     def check(self) -> None:
-        """A sign of life, and a look."""
+        """Give a sign of life, and `look`."""
         self.heartbeat.sign("going on")
         self.look()
 
@@ -140,8 +139,8 @@ class RunContext:
             self.show()
 
     def look_at_idle(self) -> None:
-        """Asks stage, arm and cameras, which have nothing to do; in virtual time that would change
-        more.
+        """Ask stage, arm and cameras, which have nothing to do, for a sign of life; not in virtual
+        time, where a question changes what emulators answer later.
         """
         due = self.clock.now() - self._stage_seen_s >= STAGE_S
         if due and type(self.clock) is not VirtualClock:
@@ -255,16 +254,16 @@ class RunContext:
 
     @property
     def _bath_fails(self) -> str:
-        """As the watch's ``failing``, also once it has ended and the bath is told to stop."""
-        told, last = self.safing and "bath" in self.devices.active, self.watch.last
-        late = told and last is not None and self.clock.now() - last.t_s > LATE_S
+        """As the watch's ``failing``, also once it has ended and the bath goes to standby."""
+        stops, last = self.safing and "bath" in self.devices.active, self.watch.last
+        late = stops and last is not None and self.clock.now() - last.t_s > LATE_S
         return self.watch.failing or ("no answer" if late else "")
 
     def _instrument(self, name: str) -> InstrumentStatus:
         devices, now_s = self.devices, self.clock.now()
         # an arm that moves by itself is made safe, and by hand too, as what it is
         acts = "robot" if name == "arm" and devices.arm.touches else name
-        heard_s, found = devices.heard.get(name), devices.safed.get(acts)
+        answered_s, found = devices.answered_s.get(name), devices.safed.get(acts)
         link, how, last, by_hand = Link.ANSWERS, "", self.last.get(name, ""), ""
         if name == self.away:
             link, how = Link.AWAY, self.away_how
@@ -272,7 +271,7 @@ class RunContext:
             link, how = Link.SILENT, self._camera_gone
         if name == "bath":
             if reading := self.watch.last:
-                last, heard_s = f"{reading.temp_c:.2f} degC", reading.t_s
+                last, answered_s = f"{reading.temp_c:.2f} degC", reading.t_s
             if failing := self._bath_fails:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last and name in devices.active:
@@ -284,7 +283,7 @@ class RunContext:
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST
         if found and (safe is Safe.AT_REST or not found.is_safe):
             safe = Safe(found.evidence.value)
-        age_s = None if heard_s is None else max(0.0, now_s - heard_s)
+        age_s = None if answered_s is None else max(0.0, now_s - answered_s)
         if acts == "arm" and found:
             safe = Safe.AT_REST  # nothing in it heats or moves, and a silent one read nothing back
         return InstrumentStatus(name, link, safe, last=last, age_s=age_s, how=how, by_hand=by_hand)

@@ -112,7 +112,7 @@ class Engine:
         self._attempts.done = len(left.done) if left and goes_on else 0
         self._reserve = Reserve(store.folder)
         self._ended = False
-        self.mistaken = False  # ended by what may be raised again, by a thread of a driver
+        self.mistaken = False  # ended by an error that a driver's thread may raise again
         self._checked: dict[str, Any] | None = None  # the arm, before the trials of this session
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.under_test = [one.name for one in self.detectors]
@@ -208,7 +208,7 @@ class Engine:
         ctx.ask(Finish())
 
     def _go_through_again(self, trial: PlannedTrial) -> None:
-        """A trial that has its result, where the world died with the bench."""
+        """Replay a trial that has its result, where the emulated world ended with the bench."""
         if self._rehearsed and self.left:
             self.context.events.pose = trial.name
             self._trials.rehearsing = True
@@ -267,7 +267,7 @@ class Engine:
         return next((fact for fact in (*later, facts.get(key)) if fact), None)
 
     def _fact(self, key: str, value: object) -> None:
-        """Under its own name in the first session, apart from it in each later one."""
+        """Write a fact by its name, in a later session with the session's number behind it."""
         session = "" if self._session == 1 else f", session {self._session}"
         self.context.store.fact(f"{key}{session}", value)
 
@@ -444,7 +444,7 @@ class Engine:
             clock.call_at(clock.now() + LOOK_S, self._show_safing)
 
     def _write_down(self, kind: str, text: str) -> None:
-        """An event, of which the run's end doesn't depend on whether it can be written."""
+        """Record an event; where that fails, warn instead, and go on."""
         if not self._kept(self.context.event, kind, text):
             self.context.events.warn(text)
 

@@ -179,7 +179,7 @@ def _touches(rig: LoadedRig, script: LoadedScript) -> list[int]:
 
 
 def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
-    """Seconds of a move from stand to stand: a trapezoid of speed; of a short way a triangle."""
+    """Seconds of a move from rest to rest: a trapezoid of speed, a triangle for a short way."""
     speed = feed_mm_per_min / 60.0
     if way_mm * accel_mm_s2 <= speed**2:
         return 2.0 * math.sqrt(way_mm / accel_mm_s2)
@@ -189,7 +189,7 @@ def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
 def _set_ups_s(
     axes: str, planned: Sequence[PlannedTrial], figures: Mapping[str, float]
 ) -> Iterator[float]:
-    """What a person does between trials: a new scene, or the plate to another place."""
+    """Seconds of a person's work before trials: a new scene, or the plate at another place."""
     before = None
     for one in planned:
         asked = one.arrangement(axes)
@@ -244,7 +244,7 @@ def needs(
 
 
 def disk_mb(rig: LoadedRig, trials: int) -> float:
-    """As if nothing could be compressed, with as much again for pictures of detectors' stages."""
+    """At most: pictures uncompressed, and as much again for pictures of detectors' stages."""
     c = rig.calibration
     one = sum(w * h for w, h in (c.left.image_size, c.right.image_size, c.thermal.image_size))
     return 2.0 * trials * (one + 2 * math.prod(c.thermal.sensor_size)) / 1e6
@@ -332,7 +332,7 @@ def read_durations(folder: Path, rig: LoadedRig) -> dict[str, float]:
     """The figures measured of ``rig`` from the last runs in ``folder``; the newest counts half."""
     last: list[dict[str, float]] = []
     for path in sorted(folder.glob(f"*/{FILE}"), reverse=True):
-        # another rig's run, or a file that can't be understood: an estimate isn't worth a fault
+        # another rig's run, or a file that can't be read: an estimate does without it
         with suppress(OSError, ValueError, KeyError, TypeError):
             kept = json.loads(path.read_text(encoding="utf-8"))
             known = {k: float(v) for k, v in kept["figures"].items() if k in ASSUMED}
@@ -367,7 +367,7 @@ def estimate_text(expected: TimeEstimate, spent: Mapping[str, float]) -> str:
 
 
 def _name(rig: LoadedRig) -> str:
-    """Emulated and in person are different hands."""
+    """The rig with its operator: an emulated one and a person take different times."""
     return f"{rig.rig.name}, operator {rig.rig.operator.url}"
 
 

@@ -4,8 +4,8 @@ or repeat the trial in flight, or end (docs/runs.md).
 A table (`POLICIES`) says for each kind of fault how often it is tried again and what a person
 checks; any other ends the run. The work is done again whole; interlocks and requests may end the
 wait.
-A request is a file in the run's folder, or a line typed at a terminal where no operator sits. The
-trial in flight leaves no trace. Each is answered in a line.
+A request is a file in the run's folder, or a line typed at a terminal where no operator sits. Each
+is answered in a line. A trial in flight that is skipped or repeated leaves no trace.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from instruments.operators.operator import (
     OperatorSkip,
     Release,
 )
-from textfiles.text import in_command
+from textfiles.text import in_command, sentence
 from textfiles.whole import refusal
 
 HOW = {GONE: "no answer", GARBLED: "no usable answer", REFUSES: "it refuses", "": "at fault"}
@@ -116,7 +116,7 @@ class Recovery:
             note = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
             note += ", homed again" if name in ("arm", "stage") else ""
             ctx.event(BACK, f"{note}; done again from its start: {what}")
-            ctx.events.warn(f"{note[0].upper()}{note[1:]}. The run goes on.")
+            ctx.events.warn(f"{sentence(note)} The run goes on.")
         self._missing, ctx.away = None, ""
 
     def _attempt(self, name: str) -> None:
@@ -126,7 +126,7 @@ class Recovery:
         try:
             if name == "arm":
                 ctx.long("looking for the arm", 120.0)
-                reach_arm(devices.arm, ctx.ask, self._answers)
+                reach_arm(devices.arm, ctx.ask, self._arm_answers)
             elif name == "stage" and devices.stage:
                 ctx.long("homing the stage again", 600.0)
                 reach_stage(devices.stage, self._stage_answers)
@@ -137,7 +137,7 @@ class Recovery:
                     devices.cameras.reopen()
                 ctx.long("looking at the cameras", CAPTURE_S, silent=True)
                 self._look()
-                devices.heard[name] = ctx.clock.now()
+                devices.answered_s[name] = ctx.clock.now()
             else:
                 devices.bath.read()  # its driver connects again by itself
         except InstrumentError:
@@ -146,7 +146,7 @@ class Recovery:
         finally:
             ctx.readied = ""
 
-    def _answers(self) -> None:
+    def _arm_answers(self) -> None:
         self._ctx.away = ""
 
     def _stage_answers(self) -> None:
@@ -213,7 +213,7 @@ class Requests:
         self.paused = False
 
     def forget(self) -> None:
-        """What was left for a bench that died before it took it isn't this one's."""
+        """Drop what was left for an earlier session that ended before it took it."""
         if words := self._left():
             note = "Left in the last session and not taken; it is void now"
             self._report(f"{note}: {words.strip()}")
@@ -239,7 +239,7 @@ class Requests:
             while self.paused:
                 ctx.events.state("paused, as asked")
                 if isinstance(ctx.clock, VirtualClock):
-                    # the person lives in real time: the bath need not race through days
+                    # a person takes real time: without this, days of virtual time would pass
                     RealClock().sleep(REAL_S)
                 ctx.wait(PAUSE_POLL_S)
 

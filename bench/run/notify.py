@@ -1,5 +1,6 @@
-"""Word to a phone, by apprise: a person is asked, an interlock has tripped, something is not safe,
-the run has ended. At most one a minute and kind; what can't be sent is said once and stops nothing.
+"""Notifications by apprise: a person is asked, an interlock has tripped, something is not safe, the
+run has ended. At most one a minute and kind; an address that fails is reported once and stops
+nothing.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Notifier:
         self._thread = threading.Thread(target=self._work, name="messages")
         self._thread.start()
 
-    def word(self, kind: str, message: Message) -> None:
+    def send(self, kind: str, message: Message) -> None:
         """Send ``message`` as soon as one of this kind may be sent; a later one takes its place."""
         with self._changed:
             self._waiting[kind] = message
@@ -140,7 +141,7 @@ def notifying(
         return
     notifier = Notifier(urls, warn)
     try:
-        yield notifier.word
+        yield notifier.send
     finally:
         notifier.close()
 

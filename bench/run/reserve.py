@@ -23,22 +23,22 @@ class Reserve:
         self._path = folder / RESERVE
 
     def keep(self) -> None:
-        """Take the room; where there is none left, there is none to keep."""
+        """Take the room; without an error where the disk has none."""
         with suppress(OSError):
             self._path.write_bytes(b"\1" * BYTES)
 
     def give_back(self) -> None:
-        """Let it go but for its first block; once more is no error."""
+        """Free all but the first block; once more is no error."""
         with suppress(OSError):
             os.truncate(self._path, min(BLOCK, self._path.stat().st_size))
 
     def end(self) -> None:
-        """Nothing is left of it; once more is no error."""
+        """Remove it; once more is no error."""
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
 
     def leave(self, end: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
-        """What the record has no room for, as `left_in` reads it: of many events the last."""
+        """Write what the record has no room for (see `end_in_reserve`): of many events the last."""
         while len(data := json.dumps({**end, "events": events}).encode()) > BLOCK and events:
             events = events[1:]
         with suppress(OSError), self._path.open("r+b") as file:  # a new file has no room

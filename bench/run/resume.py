@@ -33,7 +33,9 @@ IN_A_TRIAL = (RunState.RUNNING.value, RunState.PAUSED.value)
 
 @dataclass(frozen=True, slots=True)
 class ResumePoint:
-    """What a run left: trials ``done``, and the trial of each of its ``deaths``."""
+    """What a run left: trials ``done``; ``deaths``: by the number of its last event, the trial of
+    each; ``last_s``: the time of its last event or reading.
+    """
 
     run: RunRecord
     done: frozenset[str]

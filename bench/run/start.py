@@ -19,7 +19,7 @@ from bench.config import ConfigError, parse_config, read_calibration, read_text
 from bench.record.reader import guardian_files, read_run
 from bench.record.recording import Recording, TruthRow
 from bench.record.schema import GUARDIAN, RULES, SCRIPT, Row
-from bench.record.state import left_in, run_lock
+from bench.record.state import end_in_reserve, run_lock
 from bench.record.writer import Store
 from bench.results import health
 from bench.results.answers import Answer, Examiner
@@ -87,7 +87,7 @@ from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
-from textfiles.text import named, plural
+from textfiles.text import named, plural, sentence
 from textfiles.whole import refusal, remove_empty
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
@@ -180,7 +180,7 @@ def run_queue(
 def _of_a_queue(
     run: Callable[[], tuple[Path, RunState]], store: Store, events: Events
 ) -> tuple[Path, RunState]:
-    """A mistake of the bench in one script is not the next one's: its record has it."""
+    """One run of a queue: a mistake of the bench in it does not end the queue."""
     try:
         return run()
     except Exception as error:
@@ -357,7 +357,7 @@ def _close(store: Store) -> None:
     try:
         store.close()
     except sqlite3.OperationalError:
-        if not left_in(store.folder, store.session):
+        if not end_in_reserve(store.folder, store.session):
             raise
 
 
@@ -381,7 +381,7 @@ class OpenRig:
 
     @property
     def warm_bath(self) -> object:
-        """As what it left the bath, if it did."""
+        """The script's bath table that the last run left the rig warm with, else None."""
         return self._engine.context.script.script.bath if self._engine and self.is_warm else None
 
     def engine_of(
@@ -394,7 +394,7 @@ class OpenRig:
         left: ResumePoint | None,
         expected: TimeEstimate,
     ) -> Engine:
-        """The engine of a run on this rig. Raises what opening it does."""
+        """The engine of a run on this rig. Raises as opening the rig does."""
         before, self._engine = self._engine, None
         if self._opened is None:
             guarded = _guarded_instruments(self.rig, store, self.how, self.events, left)
@@ -462,7 +462,7 @@ def _guarded_instruments(
             if client.taken_from:
                 text = f"{client.taken_from}; this session has the bath now"
                 store.event(None, "guardian", text, wall_time())
-                events.warn(f"{text[0].upper()}{text[1:]}.")
+                events.warn(sentence(text))
             return client
 
         bath, guardian = rig.rig.bath, None
@@ -576,7 +576,7 @@ class ScoredFrames:
         return self
 
     def fact(self, name: str, value: Any) -> None:
-        """What else there is to say of the run."""
+        """Write a further fact of the run."""
         self._store.fact(name, value)
 
     def add(

@@ -8,7 +8,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import InitVar, dataclass, field, replace
-from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +52,6 @@ from bench.truth.touching import (
     Toucher,
     TrialTruth,
     astray_text,
-    end_u_mm,
     truth_row,
 )
 from bench.truth.uncertainty import TrueEnd, TruthMethod
@@ -170,9 +168,6 @@ def _made(
             phantom,
             poses,
             teat=teat,
-            u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.each), settings.repeatability_mm),
-            made=wall_time().replace(microsecond=0),
-            serial_number=ctx.devices.arm.identity.serial_number,
             report=report,
         )
     except RegistrationError as error:
@@ -342,7 +337,7 @@ class TrialRun:
         notes = list[str]()
         while True:
             frames = self._capture_settled(trial.id)
-            captured_s = ctx.devices.heard["cameras"] = ctx.clock.now()
+            captured_s = ctx.devices.answered_s["cameras"] = ctx.clock.now()
             if ctx.store.keeps_pictures:
                 ctx.live.frames(frames)
             bath, bath_state = ctx.watch.last, ctx.watch.state
@@ -352,10 +347,10 @@ class TrialRun:
             ctx.check()
             # Wait for a sign of life of the bath's reading after the capture: the last value of a
             # sensor that stopped says nothing of the teats.
-            while not (lived := ctx.watch.lived_since(captured_s)) and self._stable():
+            while not (alive := ctx.watch.alive_since(captured_s)) and self._stable():
                 ctx.events.state("waiting for a sign of life of the bath's sensor")
                 ctx.wait(1.0)
-            if lived or self._rig.cameras.recorded:
+            if alive or self._rig.cameras.recorded:
                 break
         ends = [
             replace(end, situation=trial.situation, teat=str(teat), visible=visible[teat - 1])
@@ -389,8 +384,8 @@ class TrialRun:
             self.recorder.trial(trial.id, frames, ends, confirmed=truth.how is TruthMethod.TOUCHED)
 
     def _of_trial(self, there: ExpectedScene) -> tuple[TrialTruth, str]:
-        """The truth, and what speaks against the stage's place. Raises DeviceError, once until
-        there is a truth again, where a blocked carriage may have lost its place.
+        """The truth, and why the stage's place is in doubt, or "". Raises DeviceError where a
+        blocked carriage may have lost its place, once until there is a truth again.
         """
         stage, again, doubt = self.ctx.devices.stage, self._homed_in_vain, ""
         try:

@@ -45,7 +45,7 @@ ENDS = "The run ends; an open question needs no answer any more."
 class BathMonitor:
     """Watches the bath that ``read`` polls. ``act`` gets the first trip, makes safe, and returns
     whether it has. ``also``: another reason to trip; ``moving``: what of a reading has to change
-    while the controller lives.
+    while the controller works.
     """
 
     read: Callable[[], BathReading]
@@ -85,7 +85,7 @@ class BathMonitor:
         with self._gate_lock:
             return "; ".join(self.gate.reasons)
 
-    def lived_since(self, t_s: float) -> bool:
+    def alive_since(self, t_s: float) -> bool:
         """Whether the bath's reading has shown a sign of life after ``t_s``."""
         with self._lock:
             return self.gate.moved_s > t_s
@@ -209,7 +209,9 @@ class BathMonitor:
 
 
 class SafeAtOnce:
-    """Stage held and heater off, from any thread, until both are; whether, and the steps."""
+    """Holds the stage and switches the heater off, from any thread. A call gives whether both are
+    done, and the steps; what is done is not done again.
+    """
 
     def __init__(self, devices: Devices) -> None:
         self._devices, self._held = devices, False
@@ -292,7 +294,7 @@ class TripHandler:
             store.fact(key, value)
 
     def end(self) -> None:
-        """No further readings, and none is missed: a pump may run on for longer than one takes."""
+        """End the readings and their signs of life: a pump may run on for longer than one takes."""
         self.watch.end()
         self._heartbeat.rest(WATCH)
 
@@ -302,17 +304,17 @@ class TripHandler:
         self._heartbeat.rest(WATCH)
 
     def watch_beyond(self) -> None:
-        """Watch on though the run has ended and its record is closed: the rig stays warm."""
+        """Go on after the run has ended and its record is closed: the rig stays warm."""
         self._beyond = True
         self.watch.unrecorded()
         self.on_event, self.seen = (lambda _kind, _text: None), (lambda: None)
 
     def heater_off(self) -> None:
-        """For a thread that has no time for more: the heater, whatever else goes on."""
+        """Switch off the heater alone, for a thread that has no time for more."""
         heater_off(self._devices.bath)
 
     def _also(self) -> InterlockTrip | None:
-        """With each reading: the watch is alive, and the guardian has to be too."""
+        """With each reading: give a sign of life, and trip where the guardian is lost."""
         self._heartbeat.sign("reading the bath", READING_S, who=WATCH)
         lost = self._guardian_client.lost if self._guardian_client else None
         then = rule_named(GUARDIAN).then
@@ -356,7 +358,7 @@ class TripHandler:
 
 
 def held(stage: Stage) -> Safing:
-    """Whether a stage that was told to brake stands, by its own report."""
+    """Whether a stage that has the order to brake stands, by its own report."""
     shown: list[Status | None] = []
     found = attempt("stage", lambda: shown.append(stage.stands()), "is held")
     if shown == [None]:  # amid a question of the run's own

@@ -50,9 +50,9 @@ class RuleInput:
     profile: Profile
 
 
-def too_hot(look: RuleInput) -> str | None:
-    limit_c = look.limits.bath_max_c
-    now = look.now
+def too_hot(given: RuleInput) -> str | None:
+    limit_c = given.limits.bath_max_c
+    now = given.now
     seen = {"bath": now.temp_c, "safety sensor": now.safety_c, "external sensor": now.external_c}
     hot = [
         f"the {name} is at {value:.2f} degC"
@@ -62,13 +62,13 @@ def too_hot(look: RuleInput) -> str | None:
     return f"{' and '.join(hot)}, above {limit_c:g} degC" if hot else None
 
 
-def dry_heat(look: RuleInput) -> str | None:
-    output = look.now.power_percent
+def dry_heat(given: RuleInput) -> str | None:
+    output = given.now.power_percent
     if not output or output <= 0.0:
         return None
-    if look.profile.means(look.now.alarm, "level"):
+    if given.profile.means(given.now.alarm, "level"):
         return f"the heater is asked for {output:.0f} % while the level is low"
-    stands = look.pump_on is False
+    stands = given.pump_on is False
     return f"the heater is asked for {output:.0f} % while the pump stands" if stands else None
 
 
@@ -79,61 +79,61 @@ def implausible_c(now: BathReading, limits: SafetyLimits) -> str | None:
     return f"the bath reads {now.temp_c:.2f} degC, which no water bath has"
 
 
-def frozen(look: RuleInput) -> str | None:
-    output = look.now.power_percent
-    if output is None or output <= FROZEN_OUTPUT_PERCENT or look.now.raw != look.since.raw:
+def frozen(given: RuleInput) -> str | None:
+    output = given.now.power_percent
+    if output is None or output <= FROZEN_OUTPUT_PERCENT or given.now.raw != given.since.raw:
         return None
-    lasted_s = look.now.t_s - look.since.t_s
-    stood = f"the reading has stood at {look.now.temp_c:.2f} degC for {lasted_s:.0f} s"
+    lasted_s = given.now.t_s - given.since.t_s
+    stood = f"the reading has stood at {given.now.temp_c:.2f} degC for {lasted_s:.0f} s"
     return f"{stood} with the output at {output:.0f} %"
 
 
-def lifeless(look: RuleInput) -> str | None:
-    heats = look.asked_c is not None and look.now.running is not False
-    if look.lived or not heats:
+def lifeless(given: RuleInput) -> str | None:
+    heats = given.asked_c is not None and given.now.running is not False
+    if given.lived or not heats:
         return None
-    lasted_s = look.now.t_s - look.since.t_s
-    return f"the reading has stood at {look.now.temp_c:.2f} degC for {lasted_s:.0f} s"
+    lasted_s = given.now.t_s - given.since.t_s
+    return f"the reading has stood at {given.now.temp_c:.2f} degC for {lasted_s:.0f} s"
 
 
-def too_fast(look: RuleInput) -> str | None:
-    now, earlier = look.now, look.earlier
+def too_fast(given: RuleInput) -> str | None:
+    now, earlier = given.now, given.earlier
     if earlier is None:
         return None
     rate = 60.0 * (now.temp_c - earlier.temp_c) / (now.t_s - earlier.t_s)
-    fast = abs(rate) > look.limits.bath_rate_k_per_min
+    fast = abs(rate) > given.limits.bath_rate_k_per_min
     return f"the bath changed by {rate:+.1f} K/min" if fast else None
 
 
-def loop_broken(look: RuleInput) -> str | None:
-    output, rise_k = look.now.power_percent, look.now.temp_c - look.since.temp_c
+def loop_broken(given: RuleInput) -> str | None:
+    output, rise_k = given.now.power_percent, given.now.temp_c - given.since.temp_c
     if output is None or output <= LOOP_BREAK_OUTPUT_PERCENT or rise_k > LOOP_RISE_K:
         return None
     return (
-        f"the bath went from {look.since.temp_c:.2f} to {look.now.temp_c:.2f} degC in"
-        f" {look.now.t_s - look.since.t_s:.0f} s at {output:.0f} % output"
+        f"the bath went from {given.since.temp_c:.2f} to {given.now.temp_c:.2f} degC in"
+        f" {given.now.t_s - given.since.t_s:.0f} s at {output:.0f} % output"
     )
 
 
-def sensors_disagree(look: RuleInput) -> str | None:
-    if not look.settled:
+def sensors_disagree(given: RuleInput) -> str | None:
+    if not given.settled:
         return None
-    for name, other_c in (("external", look.now.external_c), ("safety", look.now.safety_c)):
-        if other_c is not None and abs(look.now.temp_c - other_c) > look.limits.sensors_differ_k:
-            bath = f"the bath reads {look.now.temp_c:.2f} degC"
+    for name, other_c in (("external", given.now.external_c), ("safety", given.now.safety_c)):
+        if other_c is not None and abs(given.now.temp_c - other_c) > given.limits.sensors_differ_k:
+            bath = f"the bath reads {given.now.temp_c:.2f} degC"
             return f"{bath} and its {name} sensor {other_c:.2f} degC"
     return None
 
 
-def changed(look: RuleInput) -> str | None:
-    if look.asked_c is None:
+def changed(given: RuleInput) -> str | None:
+    if given.asked_c is None:
         return None
-    if look.now.running is False:
+    if given.now.running is False:
         return "the controller has stopped, and not for us"
-    seen_c = look.now.set_point_c
-    if seen_c is None or abs(seen_c - look.asked_c) <= SAME_SET_POINT_K:
+    seen_c = given.now.set_point_c
+    if seen_c is None or abs(seen_c - given.asked_c) <= SAME_SET_POINT_K:
         return None
-    asked = f"{look.asked_c:.2f} degC was asked for"
+    asked = f"{given.asked_c:.2f} degC was asked for"
     return f"the controller's set point is {seen_c:.2f} degC, and {asked}"
 
 
@@ -206,7 +206,7 @@ RULES = (
     Rule(
         IMPLAUSIBLE,
         "outside bath_plausible_c, or answers without a usable reading for bath_silence_s",
-        lambda look: implausible_c(look.now, look.limits),
+        lambda given: implausible_c(given.now, given.limits),
         "a plausible reading",
         implausible_c,
         "Check the bath's sensor and its plug.",
@@ -262,9 +262,9 @@ RULES = (
     Rule(
         "controller alarm",
         "the controller's alarm code is not 0",
-        lambda look: (
-            f"the controller reports {look.now.alarm_text or look.profile.alarm_text(code)}"
-            if (code := look.now.alarm)
+        lambda given: (
+            f"the controller reports {given.now.alarm_text or given.profile.alarm_text(code)}"
+            if (code := given.now.alarm)
             else None
         ),
         "alarm code 0",
@@ -367,13 +367,13 @@ class Interlocks:
             self._recent.popleft()
         oldest = self._recent[0]
         earlier = oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
-        look: RuleInput | None = None
+        given: RuleInput | None = None
         for rule in self._active:
             since = self._since.setdefault(rule.name, now)
-            if look is None or look.since is not since:  # most rules have the same
+            if given is None or given.since is not since:  # most rules have the same
                 seen = (now, since, earlier, self._asked_c, pump_on, settled, lived)
-                look = RuleInput(*seen, self._limits, self._profile)
-            why = rule.wrong(look)
+                given = RuleInput(*seen, self._limits, self._profile)
+            why = rule.wrong(given)
             if why is None:
                 self._since[rule.name] = now
             elif now.t_s - since.t_s >= rule.after_s:

@@ -1,4 +1,4 @@
-"""Whether a bath's reading lives, or is the last one of a sensor or a controller that stopped.
+"""Whether a bath's reading is live, or the last one of a sensor or a controller that stopped.
 
 A fine reading (steps up to `COARSE_K`) shows noise: the same raw value for minutes is no steady
 bath. A coarse one repeats itself in the best of baths. There the controller's output is the sign: a

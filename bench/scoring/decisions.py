@@ -199,10 +199,9 @@ def decide_count(
     confidence: float = 0.95,
     per_pose: Sequence[int] | None = None,
 ) -> Decision:
-    """Is there none (false teats, say) in the scenes that were answered? With the upper bound of
-    the share of poses that have one (Clopper-Pearson): several come together, so their mean has
-    no such bound.
-    `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
+    """Is there none (such as a false teat) in the scenes that were answered? With the upper bound
+    of the share of poses that have one (Clopper-Pearson): several come together, so their mean has
+    no such bound. `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
     """
     rule = "at most 0 in all scenes that were run and answered"
     if not scenes:
@@ -338,7 +337,7 @@ def _nothing_accepted(limit_mm: float, u_mm: float | None) -> str:
 
 
 def _more(more: int | None, would: str, share: str) -> str:
-    """How many poses a further look needs, which earlier ones have made dearer."""
+    """How many more poses a further look needs; each look before it raises that number."""
     if more is None:
         return f"no further look can show {share}, since earlier ones took all that there was"
     return (

@@ -80,7 +80,7 @@ def calibration_fact(calibration: Calibration, today: date, *, emulated: bool) -
     return {
         **{key: getattr(record, key, None) for key in ("made", "by", "with_what")},
         "cameras": dict(record.cameras) if record else {},
-        "age_days": _age_days(record.made, today) if record else None,
+        "age_days": (today - date.fromisoformat(record.made)).days if record else None,
         "emulated": emulated,
         "states_uncertainty": calibration.covariance is not None,
     }
@@ -99,7 +99,3 @@ def decide_calibration(rule: CalibrationRequirement, facts: Mapping[str, Any]) -
     why = _doubt(fact, rule.max_age_days, f"{rule.max_age_days:g} days are allowed")
     decision = decide_condition(rule.name, said, held=int(not why), of=1)
     return replace(decision, sentence=f"The calibration {why}") if why else decision
-
-
-def _age_days(made: str, today: date) -> int:
-    return (today - date.fromisoformat(made)).days

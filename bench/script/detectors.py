@@ -32,7 +32,7 @@ from instruments.drivers.entry_points import loading
 EXEC, FILE = "exec:", ".toml"
 DECLARED = Path("detectors")
 _DEFAULT = ProcessLimits()
-NEVER = {"restarts": sys.maxsize, "in_a_row": sys.maxsize}  # is a detector given up
+NEVER_GIVES_UP = {"restarts": sys.maxsize, "in_a_row": sys.maxsize}
 
 
 class DetectorFile(Section):
@@ -179,11 +179,11 @@ def _make(name: str, folder: Path, gives_up: bool) -> Detector:
     if not command:
         raise ConfigError.plain(f"{EXEC} needs a command, such as {EXEC}python3 my_detector.py")
     _find_program(command[0], Path())
-    # called as the first file among its words after the program, the module after -m, the program
+    # named after the first file behind the program, else the module after -m, else the program
     files = (Path(part).stem for part in command[1:] if Path(part).is_file())
     modules = (part.rpartition(".")[2] for flag, part in pairwise(command) if flag == "-m")
     called = [*files, *modules, Path(command[0]).stem][0]
-    limits = _DEFAULT if gives_up else replace(_DEFAULT, **NEVER)
+    limits = _DEFAULT if gives_up else replace(_DEFAULT, **NEVER_GIVES_UP)
     return ExternalDetector(f"exec-{_plain(called)}", command, stopwatch_s, limits=limits)
 
 
@@ -219,7 +219,7 @@ def _of_file(path: Path, gives_up: bool) -> Detector:
         given.command,
         stopwatch_s,
         folder=folder,
-        limits=limits if gives_up else replace(limits, **NEVER),
+        limits=limits if gives_up else replace(limits, **NEVER_GIVES_UP),
         version=given.version or None,
         environment=given.environment,
     )

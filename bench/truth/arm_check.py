@@ -35,9 +35,8 @@ def check_arm(
     again: str = "",
 ) -> dict[str, Any]:
     """Touch the rig's check point; gives back the fact to store. ``check`` may raise; ``again``:
-    why it is asked for. The touches
-    of a check ``before`` count where the first one lies within ``near_mm`` of their mean: nothing
-    has moved since. The fact then says how many touches are ``new``.
+    why it is asked for. The touches of a check ``before`` count where the first one lies within
+    ``near_mm`` of their mean: nothing has moved since. The fact then says how many are ``new``.
     """
     touches: list[dict[str, Any]] = []
     refused = 0

@@ -150,7 +150,7 @@ class CarriedTruth(TouchedTruth):
     away: bool = field(default=False, init=False)
 
     def begin(self) -> None:
-        """Have the registration, and its faults for the operator."""
+        """Get the registration, and report its faults."""
         self.registration = self.register()
         for fault in self.registration.faults:
             self.report("registration", fault)
@@ -194,7 +194,7 @@ class CarriedTruth(TouchedTruth):
         return truth
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
-        """Remember that this trial rests on the reference."""
+        """Note that this trial was carried, for the next check."""
         if truth.how is TruthMethod.CARRIED:
             self.state.since.append(trial)
 
@@ -274,7 +274,7 @@ class CarriedTruth(TouchedTruth):
         self.state.since.clear()
 
     def _give_up(self) -> None:
-        """What no check has confirmed by now, none can confirm any more."""
+        """Mark the carried trials that no check has confirmed as unconfirmed for good."""
         if self.state.since:
             self.state.unconfirmed += self.state.since
             self.state.since.clear()

@@ -2,9 +2,9 @@
 
 What ends share: the arm's error, the table frame's three touches, the stage's registration (turn
 and axes), the touch that a carried end rests on, the stage's place at it, and a ball tip at one
-teat. Afresh: hand, rounding and scatter of each touch, and each move of the stage. Where a record
-doesn't say what an uncertainty is made of, its ends are taken to share it: no test then accuses by
-it.
+teat. Independent: hand, rounding and scatter of each touch, and each move of the stage. Where a
+record doesn't say what an uncertainty is made of, its ends are taken to share it: that makes no
+test significant.
 
 The arm's stated u is that of any one point; how alike its error is at two is not stated. A jointed
 arm's changes by its own size over some `ARM_LENGTH_MM`: a constant part and one linear in place,
@@ -83,6 +83,8 @@ class _Columns:
 
 
 class _Ends:
+    """Ends of one run, and what each rests on."""
+
     def __init__(self, run: RunRecord, ends: Sequence[End]) -> None:
         self._run = run
         self._trials = [trial for trial, _ in ends]

@@ -275,7 +275,7 @@ class Registration:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What speaks against this stage or these touches, a sentence each."""
+        """Why this stage or these touches are in doubt, a sentence each."""
         text = []
         if self.contradicted:
             off = [

@@ -6,14 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from datetime import datetime
+from math import hypot
 
 import numpy as np
 
 from bench.rig.model import Stage as StageSettings
 from bench.truth.registration import Registration, StageAccuracy, Station
-from bench.truth.touching import Ends, EndTouches, Toucher
+from bench.truth.touching import Ends, EndTouches, Toucher, end_u_mm
 from bench.truth.uncertainty import Triple, triple
+from instruments.clock import wall_time
 from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError
 from instruments.stage.protocol import HOME_AGAIN
@@ -60,16 +61,15 @@ def register(
     poses: Sequence[PlatePose],
     *,
     teat: int,
-    u_mm: float,
-    made: datetime,
-    serial_number: str,
     report: Callable[[str], None],
 ) -> Registration:
-    """Touch ``teat`` of ``phantom`` (as at its reference place) at each of ``poses``; ``u_mm`` is
-    that of one end's mean. ``so_far`` gets what is touched, and what is in it is not touched again,
-    where an instrument was lost. Raises RegistrationError, and as stage, operator and arm do.
+    """Touch ``teat`` of ``phantom`` (as at its reference place) at each of ``poses``. ``so_far``
+    gets what is touched; after the loss of an instrument, what is in it is not touched again.
+    Raises RegistrationError, and as stage, operator and arm do.
     """
-    stations = so_far.stations
+    stations, made = so_far.stations, wall_time().replace(microsecond=0)
+    # of the mean of one end's touches
+    u_mm = hypot(end_u_mm(toucher.arm, toucher.each), settings.repeatability_mm)
     for number, pose in list(enumerate(poses, 1))[len(stations) :]:
         there = replace(pose, yaw_rad=phantom.pose.yaw_rad)
         report(f"registering the stage: position {number} of {len(poses)}")
@@ -80,4 +80,5 @@ def register(
         so_far.taken.clear()
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
     stated = StageAccuracy.model_validate(settings, from_attributes=True)
-    return Registration(made, serial_number, identity, teat, tuple(stations), stated)
+    arm = toucher.tip.arm.identity.serial_number
+    return Registration(made, arm, identity, teat, tuple(stations), stated)

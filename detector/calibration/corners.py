@@ -1,4 +1,4 @@
-"""Finds a board's points in a picture to a fraction of a pixel, or says why the picture is no good.
+"""Finds a board's points in a picture to a fraction of a pixel, or says what is wrong with it.
 
 The sub-pixel window never reaches the next corner; colours tell the first point where they can;
 blur is refused by the width of edges. A stray corner shows against its neighbours in row and
@@ -51,7 +51,8 @@ LARGEST_WINDOW_PX = 11  # half of the sub-pixel window's side
 SMALLEST_WINDOW_PX = 2
 REACH = 0.3  # of the least distance between corners, to each side of one: its edges alone are there
 _MOST_ASTRAY = 8  # corners that are put into their places
-_RIM, _AS_DARK = 0.2, 0.15  # squares beyond the board; a share of the squares' contrast
+_RIM = 0.2  # squares beyond the outer squares, where the rim is looked at
+_AS_DARK = 0.15  # of the squares' contrast: a rim no lighter than this is dark
 NO_EDGES_PX = 9999.0  # OpenCV's, where none could be measured
 BLURRED_PX = 5.0  # width of an edge from 10 to 90 %: sharp pictures have 2 to 3
 MOVED_RATIO = 1.8  # edges across one direction this much wider than across the other

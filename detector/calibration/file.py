@@ -283,7 +283,7 @@ _BLOCKS: dict[Key, dict[str, Check]] = {
 DEPTH: tuple[Key, ...] = ("cameras", "depth"), ("depth",)
 _OPTIONAL_BLOCKS: set[Key] = {*DEPTH, ("thermal",), ("homography",), ("uncertainty",), ("record",)}
 _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm", "teats"}
-# keys that a block may leave out; `_thermal_faults` has the last word
+# keys that a block may leave out; `_thermal_faults` decides
 _NOT_REQUIRED = {("cameras", "thermal"): set(LENS_KEYS), ("homography",): {"left", "right"}}
 
 

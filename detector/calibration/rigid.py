@@ -167,7 +167,7 @@ class WorldFit:
 
     @property
     def scale_sd(self) -> float:
-        """Standard deviation of `scale` as the residuals tell it."""
+        """Standard deviation of `scale`, by the residuals."""
         left_over = self.comparison.similarity.residuals_mm
         freedom = max(left_over.size - 7, 1)
         spread = self.in_right_mm - self.in_right_mm.mean(axis=0)

@@ -2,7 +2,7 @@
 given up in the end.
 
 `prepare` writes pictures and calibration to files, outside of the measured time. A fault of the
-line (silence, end, nonsense, memory) costs the process; a whole answer with wrong values doesn't.
+line (silence, end, nonsense, memory) ends the process; a whole answer with wrong values doesn't.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from detector.protocol import (
     depth_of,
 )
 
-_GRACE_S = 2.0  # to put its things in order, once nothing more is asked
+_GRACE_S = 2.0  # to end by itself, once its input is closed
 _PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessLimits:
-    """Seconds to be ready, seconds an answer, MiB of memory with all children (None: any).
-
-    restarts: at most, in a run; in_a_row: consecutive faults after which it is given up.
+    """Seconds until it is ready, seconds for an answer, MiB of memory with all children (None: any
+    amount). ``restarts``: at most, in a run; ``in_a_row``: faults, one after the other, after which
+    the program is given up.
     """
 
     start_s: float = 30.0
@@ -89,13 +89,13 @@ class ExternalDetector:
         self._started_s: float | None = None  # of a start that no call has had yet
         self._not_started: DetectionFailure | None = None
         self._child: Child | None = None
-        self._desk: _ExchangeFolder | None = None
-        self._asked = self._off = self._last_words = ""
+        self._exchange: _ExchangeFolder | None = None
+        self._asked = self._off = self._last_stderr = ""
         self._starts = self._faults_in_a_row = 0
 
     @property
     def trained_on(self) -> TrainedOn:
-        """As its first line says; nothing before it was started."""
+        """As its first line says; empty before it was started."""
         return self._ready.trained_on
 
     @property
@@ -121,13 +121,13 @@ class ExternalDetector:
             raise failure
         if self._off:
             raise DetectionFailure(self._off, Outcome.OFF)
-        if self._desk is None:
-            self._desk = _ExchangeFolder()
-        self._desk.lay_out(frames, calibration)
+        if self._exchange is None:
+            self._exchange = _ExchangeFolder()
+        self._exchange.replace(frames, calibration)
         if self._child is None:
             self._start()
         self.start_up_s, self._started_s = self._started_s, None
-        self._asked = self._desk.frame
+        self._asked = self._exchange.frame
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         """Ask about the frames that were prepared, or prepare them. Raises DetectionFailure."""
@@ -140,12 +140,12 @@ class ExternalDetector:
         if not self._asked:
             self.prepare(frames, calibration)
         asked, self._asked = self._asked, ""
-        child, desk = self._child, self._desk
-        if child is None or desk is None:
+        child, exchange = self._child, self._exchange
+        if child is None or exchange is None:
             raise DetectionFailure("it was closed")
         limit_s = min(self._limits.answer_s, max(0.0, self.most_s - (self.start_up_s or 0.0)))
         with self._ended_on_faults(f"gave no answer within {limit_s:g} s"):
-            child.ask(lines.request_line(asked, desk.pictures, desk.calibration, context))
+            child.ask(lines.request_line(asked, exchange.pictures, exchange.calibration, context))
             line = child.line(limit_s)
             try:
                 detection = lines.parse_answer(line, asked, calibration)
@@ -163,16 +163,16 @@ class ExternalDetector:
 
     def said(self) -> str:
         """Its standard error since this was last asked."""
-        words = [self._last_words, self._child.complaints() if self._child else ""]
-        self._last_words = ""
+        words = [self._last_stderr, self._child.stderr() if self._child else ""]
+        self._last_stderr = ""
         return "\n".join(word for word in words if word)
 
     def close(self) -> None:
         """Close its input, end it with all that it started, and remove the pictures."""
         self._end(_GRACE_S)
-        if self._desk:
-            self._desk.clear()
-            self._desk = None
+        if self._exchange:
+            self._exchange.clear()
+            self._exchange = None
 
     def _start(self) -> None:
         start_s, limit_s = self._stopwatch(), min(self._limits.start_s, self.most_s)
@@ -217,8 +217,8 @@ class ExternalDetector:
         if self._child is not None:
             child, self._child = self._child, None
             child.end(grace_s)
-            words = self._last_words, child.complaints()
-            self._last_words = "\n".join(word for word in words if word)
+            words = self._last_stderr, child.stderr()
+            self._last_stderr = "\n".join(word for word in words if word)
 
 
 class _ExchangeFolder:
@@ -232,7 +232,7 @@ class _ExchangeFolder:
         self._known: Calibration | None = None
         self.frame = "0"  # the name of the frame set that lies there
 
-    def lay_out(self, frames: Frames, calibration: Calibration) -> None:
+    def replace(self, frames: Frames, calibration: Calibration) -> None:
         """Replace the frame set. Raises DetectionFailure where PNG or disk can't hold it."""
         self.frame = str(int(self.frame) + 1)
         try:

@@ -26,6 +26,7 @@ from detector.protocol import (
     Visit,
     trained_on_of,
 )
+from textfiles.text import short
 
 READY = {"ready": True}
 PICTURES = ("left", "right", "thermal", "thermal_radiometric", "depth", "depth_amplitude")
@@ -93,7 +94,7 @@ def answer_line(frame: str, detection: Detection) -> bytes:
 
 
 def check_ready(line: bytes) -> Ready:
-    """Raises Garbled where the child's first line isn't the one that says it is ready."""
+    """Raises GarbledLine where the child's first line isn't the one that says it is ready."""
     wanted = f"its first line must be {json.dumps(READY)}"
     try:
         said = _object(line)
@@ -114,8 +115,8 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
     """The answer on ``frame``: teats "world_mm" [x, y, z], or "left_px" and "right_px" [column,
     row].
 
-    Pixels are triangulated, unknown keys ignored. Raises Garbled for no answer on this frame,
-    BadAnswer for bad values.
+    Pixels are triangulated, unknown keys ignored. Raises GarbledLine for no answer on this
+    frame, BadAnswer for bad values.
     """
     answer = _object(line)
     if answer.get("frame") != frame:
@@ -141,8 +142,7 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
 
 def shown(line: bytes) -> str:
     """A line for a sentence: its beginning."""
-    text = line.decode("utf-8", errors="replace").strip()
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+    return short(line.decode("utf-8", errors="replace").strip(), _SHOWN)
 
 
 def _object(line: bytes) -> dict[str, Any]:

@@ -45,7 +45,7 @@ _MIB = 1 << 20
 
 
 class ChildFault(Exception):  # noqa: N818 - the child's fault
-    """The child can't be talked to any more; the message is a sentence that begins with a verb."""
+    """The child is of no more use; the message is a sentence that begins with a verb."""
 
 
 class ChildSilent(ChildFault):
@@ -68,20 +68,20 @@ class Child:
         hard_mib = 0 if memory_mib is None else math.ceil(HARD_LIMIT * memory_mib)
         known = {n: os.environ[n] for n in (*ENVIRONMENT, *passed) if n in os.environ}
         env = {**UTF8, **known, MARK: self._mark}
-        self._process, self._hold = _spawn(command, folder, env, hard_mib)
+        self._process, self._supervisor_pipe = _spawn(command, folder, env, hard_mib)
         self._in = cast(IO[bytes], self._process.stdin)
-        self._lines, self._complaints = _Lines(), _StderrTail()
+        self._lines, self._stderr = _Lines(), _StderrTail()
         self._readers = []
         for name, *how in (
             ("answers", self._process.stdout, self._lines.take),
-            ("complaints", self._process.stderr, self._complaints.take),
+            ("errors", self._process.stderr, self._stderr.take),
         ):
             reader = threading.Thread(None, _read, f"detector's {name}", how, daemon=True)
             self._readers.append(reader)
             reader.start()
 
     def ask(self, line: bytes) -> None:
-        """Send a line. Raises ChildFault where the child no longer listens."""
+        """Send a line. Raises ChildFault where the child has closed its input."""
         try:
             self._in.write(line)
             self._in.flush()
@@ -120,25 +120,25 @@ class Child:
             return _LOOKS_S[1]
         return min(max((self._memory_mib - used_mib) / _MIB_A_S, _LOOKS_S[0]), _LOOKS_S[1])
 
-    def complaints(self) -> str:
+    def stderr(self) -> str:
         """What came on its standard error since this was last asked."""
-        return self._complaints.given_out()
+        return self._stderr.taken_out()
 
     def end(self, grace_s: float = 0.0) -> None:
-        """End it with all that it started, at once or after its input was closed; may be repeated.
-        Its last words on standard error stay available.
+        """End it with all that it started, at once or ``grace_s`` after its input was closed; may
+        be repeated. What it wrote to standard error can still be asked for.
         """
         if grace_s > 0:
             with contextlib.suppress(OSError):  # what was never sent can't be sent now
                 self._in.close()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(grace_s)
-        if self._hold is not None:
-            os.close(self._hold)
-            self._hold = None
+        if self._supervisor_pipe is not None:
+            os.close(self._supervisor_pipe)
+            self._supervisor_pipe = None
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_S)
-        # What is left where the supervisor didn't do it, was ended itself, or there is none
+        # what the supervisor has left, was ended before it could end, or never knew
         until_s = self._stopwatch() + _END_S
         while sys.platform == "linux" and self._stopwatch() < until_s:
             left = process_supervisor.descendants(self._process.pid, self._mark.encode())
@@ -225,7 +225,7 @@ class _StderrTail:
             self._lost += len(whole) - len(self._data)
         return bool(data)
 
-    def given_out(self) -> str:
+    def taken_out(self) -> str:
         with self._lock:
             text = self._data.decode("utf-8", errors="replace").strip()
             text = f"({self._lost} bytes before this are left out)\n{text}" if self._lost else text
@@ -234,7 +234,7 @@ class _StderrTail:
 
 
 def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
-    """Hand bytes on as they come, and b"" at the end."""
+    """Give ``take`` the bytes as they come, and b"" at the end."""
     while True:
         try:
             data = os.read(pipe.fileno(), 1 << 16)
@@ -247,21 +247,21 @@ def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
 def _spawn(
     command: Sequence[str], folder: Path | None, env: Mapping[str, str], hard_mib: int
 ) -> tuple[subprocess.Popen[bytes], int | None]:
-    """The process, in a session of its own, and its supervisor's pipe where there is one."""
+    """The process in a session of its own, and its supervisor's pipe; None on Windows."""
     settings: dict[str, Any] = {"cwd": folder, "env": env}
     settings |= dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     if os.name != "posix":
         names = "CREATE_NEW_PROCESS_GROUP", "CREATE_NO_WINDOW"
         detached = sum(getattr(subprocess, name, 0) for name in names)
         return subprocess.Popen(command, creationflags=detached, **settings), None  # noqa: S603
-    far, near = os.pipe()
+    read_end, write_end = os.pipe()
     python = [sys.executable, "-I", "-S", str(Path(process_supervisor.__file__))]
-    held = [*python, str(far), str(hard_mib), *command]
-    settings |= {"pass_fds": (far,), "start_new_session": True}
+    supervised = [*python, str(read_end), str(hard_mib), *command]
+    settings |= {"pass_fds": (read_end,), "start_new_session": True}
     try:
-        return subprocess.Popen(held, **settings), near  # noqa: S603
+        return subprocess.Popen(supervised, **settings), write_end  # noqa: S603
     except OSError:
-        os.close(near)
+        os.close(write_end)
         raise
     finally:
-        os.close(far)
+        os.close(read_end)

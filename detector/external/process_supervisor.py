@@ -93,7 +93,7 @@ def _living() -> dict[int, tuple[int, int]]:
 
 
 def _reap(child: int) -> int | None:
-    """Take the dead in; the child's exit code, negative for a signal, once it is among them."""
+    """Reap ended processes; the exit code of ``child``, negative for a signal, if it has ended."""
     code = None
     try:
         while (found := os.waitpid(-1, os.WNOHANG))[0]:
@@ -118,7 +118,7 @@ def _end_all(child: int) -> None:
                 continue
         select.select([], [], [], 0.005)
         _reap(child)
-    try:  # the dead too: whoever inherits them may never take them in
+    try:  # ended ones too: the process that inherits them may never reap them
         while True:
             os.waitpid(-1, 0)
     except ChildProcessError:

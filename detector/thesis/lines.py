@@ -126,7 +126,7 @@ def _locate(runs: list[Run], point: int) -> tuple[int, int]:
     raise IndexError(f"point {point} lies beyond the last run")
 
 
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 _WINDOW_SLIP_PX = 1  # see above
 
@@ -157,7 +157,7 @@ def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Ar
     return np.array(found, dtype=np.float64).reshape(-1, 2) + _WINDOW_SLIP_PX
 
 
-def merge_rows(rows: Whole, columns: Whole, row_reach: int, column_reach: int) -> Whole:
+def merge_rows(rows: Integers, columns: Integers, row_reach: int, column_reach: int) -> Integers:
     """Rows (n,) after each point has pulled later ones nearby up to its row.
 
     For each i, j > i: if |y_i - y_j| <= row_reach and |x_i - x_j| <= column_reach, y_j = min(y_i,
@@ -171,7 +171,7 @@ def merge_rows(rows: Whole, columns: Whole, row_reach: int, column_reach: int) -
     return merged
 
 
-def segment_middles(columns: Whole, p: Parameters) -> list[int]:
+def segment_middles(columns: Integers, p: Parameters) -> list[int]:
     """Middles, shifted by the published 2 px, of stretches with six of a line's points in 12 px."""
     x = np.sort(columns)
     span = p.segment_points - 1

@@ -1,5 +1,5 @@
-"""A controller's rows over the wire, whatever it speaks: read one by one or in a poll, written on
-change, spaced, and read back.
+"""A controller's rows over the wire, whatever its protocol: read one by one or in a poll, written
+on change, spaced, and read back.
 
 What a protocol has to bring: how a row is asked for (``ask``, ``decode``) and written (``write``),
 how its format is detected and how a poll is fetched.
@@ -26,6 +26,7 @@ from instruments.errors import (
     ProtocolError,
     hex_bytes,
 )
+from textfiles.text import sentence
 
 POLL_S = 4.0
 NOT_READ = "only written"
@@ -37,8 +38,8 @@ Raw = Sequence[int] | str  # registers, or a line
 
 @dataclass(frozen=True, slots=True)
 class RowAnswer:
-    """What became of one question for ``row``: what was ``asked``, what came, what it means;
-    ``sensible``: whether that can be its value.
+    """The result of one question for ``row``: what was ``asked``; in ``said`` what came and what it
+    means; ``sensible``: whether that can be its value.
     """
 
     row: str
@@ -57,8 +58,8 @@ class RowAnswer:
 class Access(ABC, Generic[R]):
     """The rows of one device over ``wire``, which is not opened yet; for one thread. ``known``:
     whether it was identified; ``unit_confirmed``: a person has seen that its numbers are degC;
-    ``absent``: rows that this model does not offer, and why; ``detected``: what its format shows of
-    it; ``remote``: what its panel calls control by us; ``SHOWN``: rows that say what it is.
+    ``absent``: rows that this model does not offer, and why; ``detected``: what `detect_format`
+    found; ``remote``: what the panel calls remote control; ``SHOWN``: rows of model and versions.
     """
 
     remote: ClassVar[str]
@@ -82,7 +83,7 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def detect_format(self) -> None:
-        """Learn how the controller speaks. Raises ProtocolError, DeviceError."""
+        """Find the controller's order of bytes, or its model. Raises ProtocolError, DeviceError."""
 
     @abstractmethod
     def first_poll(self) -> BathReading:
@@ -90,7 +91,7 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
-        """What came for each row of a poll that began at ``start_s``."""
+        """The answers of a poll that began at ``start_s``, by row."""
 
     @abstractmethod
     def ask(self, row: R) -> Raw:
@@ -102,7 +103,7 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def show(self, rows: Sequence[R]) -> Iterator[str]:
-        """What each of ``rows`` says of the controller, for a person."""
+        """The value of each of ``rows`` as text for a person."""
 
     @abstractmethod
     def diagnoses(self, raw: Raw) -> Iterator[str]:
@@ -152,13 +153,13 @@ class Access(ABC, Generic[R]):
         return reading, {**known, **shown}
 
     def poll(self) -> BathReading:
-        """One poll, at the time of its start. Raises LinkError, BrokenError before ``look``."""
+        """One poll, at the time of its start. Raises LinkError; BrokenError before `identify`."""
         if not self.known:  # an event of virtual time has dropped the link meanwhile
             raise self.wire.broken("the link is down")
         return self.poll_now()
 
     def poll_now(self) -> BathReading:
-        """One poll, whether it was looked at or not."""
+        """One poll, whether the controller was identified or not."""
         start_s = self.clock.now()
         return self.reading(start_s, self.fetch(start_s))
 
@@ -202,8 +203,8 @@ class Access(ABC, Generic[R]):
         """What came for ``row``, whatever it means."""
         return self.ask(row)
 
-    def look_for(self, rows: Sequence[R]) -> None:
-        """Note which of ``rows`` the model does not answer, where some models don't."""
+    def note_absent(self, rows: Sequence[R]) -> None:
+        """Note which optional ``rows`` this model does not answer."""
         for row in rows:
             if row.optional and self.may_ask(row):
                 try:
@@ -216,8 +217,8 @@ class Access(ABC, Generic[R]):
                     self.absent[row.name] = f"it does not answer {self.asking(row)}"
 
     @property
-    def looked_for(self) -> list[R]:
-        """The rows that are asked unbidden: for a poll, for itself, and for writes."""
+    def rows_in_use(self) -> list[R]:
+        """The rows that are read without an order: those of a poll, of `SHOWN`, and their needs."""
         polled = [row for row in self.profile.rows if row.poll]
         needs = [name for row in polled for name in row.needs]
         names = dict.fromkeys((*(row.name for row in polled), *self.SHOWN, *needs))
@@ -231,7 +232,7 @@ class Access(ABC, Generic[R]):
         """The value of ``row`` in its unit. Raises as ``value_in``."""
         if row.access == "w":
             raise LimitError(self.who, f"{row.name} is a command, and can't be read")
-        if row.needs and not row.poll:  # in what its number counts
+        if row.needs and not row.poll:  # its unit depends on another row
             self.check_needs(row)
         return self.value_in(row, self.ask(row))
 
@@ -263,7 +264,7 @@ class Access(ABC, Generic[R]):
     def not_met(self, row: Quantity, other: Quantity, label: str, seen: float) -> DeviceError:
         """The error of ``row``, which needs ``label`` of a row that shows ``seen``."""
         what = f"the {row.name} needs {other.name} = {label}"
-        hint = f"{other.meaning[:1].upper()}{other.meaning[1:]}. " if other.meaning else ""
+        hint = f"{sentence(other.meaning)} " if other.meaning else ""
         hint += "Change it at the controller."
         return DeviceError(self.who, what, asked=other.name, seen=other.label(seen), hint=hint)
 
@@ -277,7 +278,7 @@ class Access(ABC, Generic[R]):
         return seen == wanted or abs(seen - wanted) <= max(row.tolerance, 1e-9)
 
     def rows_to_try(self) -> Sequence[R]:
-        """The rows of a profile that is being made, as the model has them if that is known."""
+        """The rows to ask while a profile is being made; those of the model where it is known."""
         return cast("Sequence[R]", self.profile.rows)
 
     def tries(self) -> Iterator[Callable[[], RowAnswer]]:
@@ -375,7 +376,7 @@ class Access(ABC, Generic[R]):
             return f"{number_unit.fixed}, by its protocol"
         if not self.unit_unknown:
             return "degC, as it shows itself"
-        return "degC, as a person saw" if self.unit_confirmed else "not told by the controller"
+        return "degC, as a person saw" if self.unit_confirmed else "not stated by the controller"
 
     def unconfirmed(self) -> LimitError:
         """The error of a write before a person has confirmed the unit."""

@@ -213,7 +213,7 @@ class Bath:
         self._begin_heating()
         with self._lock:
             made_safe = self._times_made_safe
-            self._started = False  # what has become of an earlier start does not matter now
+            self._started = False  # an earlier start is not checked any more
             reading = self.read()
             if reading.alarm:
                 what = f"not started: {self.profile.alarm_text(reading.alarm)}"
@@ -264,8 +264,8 @@ class Bath:
                     return
 
     def release_watchdog(self, found_s: float | None = None) -> None:
-        """Set its watchdog as it was found, or it would raise an alarm once we have gone.
-        ``found_s``: where another has set it. What fails here costs no safety.
+        """Set its watchdog back, or it would raise an alarm once this program has ended.
+        ``found_s``: the value before, where another program has set it. A failure is ignored.
         """
         ours_s, self._found_s, self.watchdog_s = self._found_s, None, None
         found_s = ours_s if found_s is None else found_s
@@ -287,7 +287,7 @@ class Bath:
             self._wire.connect()
 
     def _begin_heating(self) -> None:
-        """From now on it may heat, by us."""
+        """From now on the controller may heat by a call of ours."""
         self.before_heating()
         self.heats = True
 
@@ -301,7 +301,7 @@ class Bath:
             self.pump_on = wanted == row.values["on"]
 
     def _set_watchdog(self) -> None:
-        """Have the controller stop by itself where no messages come, if it has such a row."""
+        """Set the controller's watchdog, where it has one: it stops where no messages come."""
         seconds = self.profile.watchdog_s
         if seconds is None or not self.watched or not self._rows.offers(WATCHDOG):
             return
@@ -379,7 +379,7 @@ class Bath:
         return reading
 
     def _after_poll(self, row: Quantity) -> Rows:
-        """The rows; for one in degC after a poll: how the controller speaks may have changed."""
+        """The rows; for one in degC after a poll, since the order of bytes may have changed."""
         if row.unit == "degC":
             self._rows.poll()
         return self._rows

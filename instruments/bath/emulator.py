@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, get_args
 
 from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
-from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
+from instruments.bath.profile import PUMP, ModbusDevice, RegisterProfile, RelayProfile
 from instruments.bath.protocol import Exchange, Frame, ModbusException, RawRequest, Read, Write
 from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
@@ -111,7 +111,7 @@ class Emulator:
             self.hang_up()
 
     def connect(self, connection: Connection) -> None:
-        """A host has connected; nothing is said unasked."""
+        """A host has connected; nothing is sent without a question."""
         self._hosts.append(connection)
 
     def disconnect(self, connection: Connection) -> None:
@@ -121,7 +121,7 @@ class Emulator:
             self._last_answer_s.pop(connection, None)
 
     def hang_up(self) -> None:
-        """Lose all hosts, as without power on a network; RTU's line has no connections."""
+        """Drop all hosts, as a device without power; RTU's line has no connections."""
         if self.framing != "rtu":
             for connection in list(self._hosts):
                 connection.hang_up()
@@ -136,7 +136,7 @@ class Emulator:
         return self._clock.now() < self.silent_until_s
 
     def send(self, connection: Connection, answer: bytes) -> None:
-        """Late where that fault is on."""
+        """Send ``answer``; late where that fault is on."""
         now_s = self._clock.now()
         at_s = now_s + (self.late_s if "late answer" in self._faults else 0.0)
         if self.framing != "tcp":
@@ -159,7 +159,7 @@ class Server(Emulator):
     def __init__(
         self,
         plant: Plant,
-        profile: Wiring,
+        profile: ModbusDevice,
         clock: Clock,
         behaviour: Behaviour,
         values: Values,
@@ -246,7 +246,7 @@ class Server(Emulator):
             if len(request.body) != 4 or request.body[:2] != b"\0\0":
                 raise ModbusException(protocol.ILLEGAL_VALUE)
             return bytes((request.function,)) + request.body
-        status = self.panel.wiring.find("status")
+        status = self.panel.device.find("status")
         return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))
 
     def _read(self, request: Read) -> list[int]:

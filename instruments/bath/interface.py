@@ -1,4 +1,4 @@
-"""What the bench asks of an open bath, whoever wrote its driver (see `instruments.drivers`)."""
+"""The calls of an open bath, the same for every driver (see `instruments.drivers`)."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ class LineAccess(Access[LineRow]):
 
     def first_poll(self) -> BathReading:
         """Without the rows that the model does not answer."""
-        self.look_for(self.looked_for)
+        self.note_absent(self.rows_in_use)
         return self.poll_now()
 
     def _is_model(self, model: Model) -> bool:

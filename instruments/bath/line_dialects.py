@@ -50,7 +50,7 @@ class Dialect:
             return self.UNKNOWN
         if not NUMBER.fullmatch(value):
             return self.WRONG
-        return self.DONE if self.set_point(self.meant_c(float(value))) else self.OUTSIDE
+        return self.DONE if self.set_point(self.in_c(float(value))) else self.OUTSIDE
 
     def set_point(self, temp_c: float) -> bool:
         """Whether it takes the set point."""
@@ -65,7 +65,7 @@ class Dialect:
         self.plant.standby()
         self.plant.set_point_c = self._shipped_c
 
-    def miss_host(self) -> None:
+    def time_out(self) -> None:
         """Its watchdog has run out."""
         self.plant.standby()
 
@@ -79,12 +79,13 @@ class Dialect:
         """In the unit of the display."""
         return temp_c * 1.8 + 32.0 if self.fahrenheit else temp_c
 
-    def meant_c(self, shown: float) -> float:
+    def in_c(self, shown: float) -> float:
+        """degC of a number in the unit of the display."""
         return (shown - 32.0) / 1.8 if self.fahrenheit else shown
 
     @property
     def bath(self) -> float:
-        """The bath's temperature as the display has it; then the teats' and the set point."""
+        """The bath's temperature in the unit of the display, as are ``teats`` and ``target``."""
         return self.shown(self.temperature_c())
 
     @property
@@ -92,7 +93,7 @@ class Dialect:
         return self.shown(float(self.plant.teat_c.mean()))
 
     @property
-    def aim(self) -> float:
+    def target(self) -> float:
         return self.shown(self.plant.set_point_c)
 
     def run(self, *, on: bool) -> None:
@@ -126,17 +127,17 @@ class Julabo(Dialect):
     INVALID, NOT_NOW = "-08 INVALID COMMAND", "-09 COMMAND NOT ALLOWED IN CURRENT OPERATING MODE"
     TOO_SMALL, TOO_LARGE = "-10 VALUE TOO SMALL", "-11 VALUE TOO LARGE"
     READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
-        "version": lambda on: on.version,
-        "status": lambda on: on.status(),
-        "in_pv_00": lambda on: f"{on.bath:.2f}",
-        "in_pv_01": lambda on: f"{on.plant.power_percent:.0f}",
-        "in_pv_02": lambda on: f"{on.teats:.2f}",
-        "in_pv_03": lambda on: f"{on.shown(on.plant.bath_c):.2f}",
-        "in_pv_04": lambda on: f"{on.shown(on.plant.constants.cut_out_c):.1f}",
-        "in_sp_00": lambda on: f"{on.aim:.2f}",
-        "in_sp_07": lambda on: f"{on.stage}",
-        "in_mode_04": lambda on: f"{int(on.external_control)}",
-        "in_mode_05": lambda on: f"{int(on.plant.running)}",
+        "version": lambda panel: panel.version,
+        "status": lambda panel: panel.status(),
+        "in_pv_00": lambda panel: f"{panel.bath:.2f}",
+        "in_pv_01": lambda panel: f"{panel.plant.power_percent:.0f}",
+        "in_pv_02": lambda panel: f"{panel.teats:.2f}",
+        "in_pv_03": lambda panel: f"{panel.shown(panel.plant.bath_c):.2f}",
+        "in_pv_04": lambda panel: f"{panel.shown(panel.plant.constants.cut_out_c):.1f}",
+        "in_sp_00": lambda panel: f"{panel.target:.2f}",
+        "in_sp_07": lambda panel: f"{panel.stage}",
+        "in_mode_04": lambda panel: f"{int(panel.external_control)}",
+        "in_mode_05": lambda panel: f"{int(panel.plant.running)}",
     }
     STORED: ClassVar[Mapping[str, str]] = {  # as shipped: set points, limits, modes, parameters
         "in_sp_01": "25.00", "in_sp_02": "30.00", "in_sp_03": "100.00", "in_sp_04": "0.00",
@@ -193,7 +194,7 @@ class Julabo(Dialect):
     def _take(self, word: str, read: str, parameter: str) -> str:
         value = float(parameter)
         if word == "out_sp_00":
-            if not self.set_point(temp_c := self.meant_c(value)):
+            if not self.set_point(temp_c := self.in_c(value)):
                 return self.TOO_LARGE if temp_c > MOST_C else self.TOO_SMALL
         elif word == "out_sp_07":
             if not 1 <= value <= 4:
@@ -224,27 +225,29 @@ class Lauda(Dialect):
     READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
         "TYPE": lambda _: "RP845",
         "VERSION_R": lambda _: "1.30",
-        "STATUS": lambda on: "-1" if on.plant.alarm or on.missed_host else "0",
-        "STAT": lambda on: on.stat(),
-        "IN_PV_00": lambda on: on.fixed(on.bath),
-        "IN_PV_01": lambda on: on.fixed(on.teats if on.external_control else on.bath),
-        "IN_PV_02": lambda on: f"{0.4 * int(on.plant.running):.2f}",
-        "IN_PV_03": lambda on: on.fixed(on.teats),
-        "IN_PV_10": lambda on: f"{on.bath:.3f}",
-        "IN_PV_13": lambda on: f"{on.teats:.3f}",
-        "IN_MODE_01": lambda on: f"{int(on.external_control)}",
-        "IN_SP_00": lambda on: on.fixed(on.aim),
+        "STATUS": lambda panel: "-1" if panel.plant.alarm or panel.timed_out else "0",
+        "STAT": lambda panel: panel.stat(),
+        "IN_PV_00": lambda panel: panel.fixed(panel.bath),
+        "IN_PV_01": lambda panel: panel.fixed(
+            panel.teats if panel.external_control else panel.bath
+        ),
+        "IN_PV_02": lambda panel: f"{0.4 * int(panel.plant.running):.2f}",
+        "IN_PV_03": lambda panel: panel.fixed(panel.teats),
+        "IN_PV_10": lambda panel: f"{panel.bath:.3f}",
+        "IN_PV_13": lambda panel: f"{panel.teats:.3f}",
+        "IN_MODE_01": lambda panel: f"{int(panel.external_control)}",
+        "IN_SP_00": lambda panel: panel.fixed(panel.target),
         "IN_SP_01": lambda _: "004",
         "IN_SP_02": lambda _: "002",
-        "IN_SP_03": lambda on: on.fixed(on.shown(on.plant.constants.cut_out_c)),
-        "IN_SP_04": lambda on: on.fixed(on.shown(MOST_C)),
-        "IN_SP_05": lambda on: on.fixed(on.shown(LEAST_C)),
-        "IN_SP_07": lambda on: on.fixed(on.shown(20.0)),
-        "IN_SP_08": lambda on: on.fixed(on.watchdog_s),
-        "IN_MODE_02": lambda on: "0" if on.plant.running else "1",
+        "IN_SP_03": lambda panel: panel.fixed(panel.shown(panel.plant.constants.cut_out_c)),
+        "IN_SP_04": lambda panel: panel.fixed(panel.shown(MOST_C)),
+        "IN_SP_05": lambda panel: panel.fixed(panel.shown(LEAST_C)),
+        "IN_SP_07": lambda panel: panel.fixed(panel.shown(20.0)),
+        "IN_SP_08": lambda panel: panel.fixed(panel.watchdog_s),
+        "IN_MODE_02": lambda panel: "0" if panel.plant.running else "1",
     }
     WATCHDOG: ClassVar[str] = "OUT_SP_08_"
-    missed_host = False
+    timed_out = False
 
     def answer(self, command: str) -> str | None:
         command = command.strip("\n").replace(" ", "_").upper()
@@ -259,15 +262,15 @@ class Lauda(Dialect):
         return self.DONE
 
     def run(self, *, on: bool) -> None:
-        super().run(on=on and not self.missed_host)
+        super().run(on=on and not self.timed_out)
 
-    def miss_host(self) -> None:
-        super().miss_host()
-        self.missed_host = True
+    def time_out(self) -> None:
+        super().time_out()
+        self.timed_out = True
 
     def reset(self) -> None:
         super().reset()
-        self.missed_host = False
+        self.timed_out = False
 
     def fixed(self, shown: float) -> str:
         return f"{'-' if shown < 0 else ''}{abs(shown):06.2f}"
@@ -275,7 +278,7 @@ class Lauda(Dialect):
     def stat(self) -> str:
         """Error, alarm, warning, over-temperature, low level, 0, external value missing."""
         alarm = self.plant.alarm
-        alarmed = bool(alarm) or self.missed_host
+        alarmed = bool(alarm) or self.timed_out
         flags = (alarm == "sensor", alarmed, False, alarm == "over-temperature")
         return "".join(str(int(flag)) for flag in (*flags, alarm == "level", False, False))
 
@@ -287,26 +290,28 @@ class Huber(Dialect):
     """
 
     end = reply_end = b"\r\n"
-    NOTHING, NO_SENSOR = 0x7FFF, -15100
+    NOTHING = 0x7FFF
     ERRORS: ClassVar[dict[str, int]] = {"level": -2, "sensor": -5, "over-temperature": -1331}
     COMMAND = re.compile(r"\{M([0-9A-F]{2})(\*{4}|[0-9A-F]{4})", re.IGNORECASE)
     VALUES: ClassVar[Mapping[int, Callable[[Huber], int]]] = {
-        0x00: lambda on: round(100 * on.plant.set_point_c),
-        0x01: lambda on: round(100 * on.temperature_c()),
-        0x05: lambda on: on.ERRORS[on.plant.alarm] if on.plant.alarm else 0,
-        0x03: lambda on: 1000 + 400 * int(on.plant.running),
-        0x04: lambda on: round(on.plant.power_percent / 100.0 * on.plant.constants.heater_w),
+        0x00: lambda panel: round(100 * panel.plant.set_point_c),
+        0x01: lambda panel: round(100 * panel.temperature_c()),
+        0x05: lambda panel: panel.ERRORS[panel.plant.alarm] if panel.plant.alarm else 0,
+        0x03: lambda panel: 1000 + 400 * int(panel.plant.running),
+        0x04: lambda panel: round(
+            panel.plant.power_percent / 100.0 * panel.plant.constants.heater_w
+        ),
         0x06: lambda _: 0,
-        0x0A: lambda on: on.status(),
+        0x0A: lambda panel: panel.status(),
         0x0F: lambda _: 1000,
-        0x26: lambda on: 3200 * int(on.plant.running),
+        0x26: lambda panel: 3200 * int(panel.plant.running),
         0x30: lambda _: round(100 * LEAST_C),
         0x31: lambda _: round(100 * MOST_C),
         0x48: lambda _: 3200,
         0x5C: lambda _: 365,
-        0x07: lambda on: round(100 * float(on.plant.teat_c.mean())),
-        0x14: lambda on: int(on.plant.running),
-        0x16: lambda on: int(on.plant.running),
+        0x07: lambda panel: round(100 * float(panel.plant.teat_c.mean())),
+        0x14: lambda panel: int(panel.plant.running),
+        0x16: lambda panel: int(panel.plant.running),
         0x1B: lambda _: 0x3039,
         0x1C: lambda _: 0x0001,
     }
@@ -343,13 +348,13 @@ class Thermo(Dialect):
     RUNS: ClassVar[Mapping[str, bool]] = {"SO 1": True, "SO 0": False}
     SETS = "SS "
     READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
-        "RT": lambda on: on.with_unit(on.bath),
-        "RT2": lambda on: on.with_unit(on.teats),
-        "RS": lambda on: on.with_unit(on.aim),
-        "RO": lambda on: f"{int(on.plant.running)}",
-        "RTU": lambda on: "F" if on.fahrenheit else "C",
+        "RT": lambda panel: panel.with_unit(panel.bath),
+        "RT2": lambda panel: panel.with_unit(panel.teats),
+        "RS": lambda panel: panel.with_unit(panel.target),
+        "RO": lambda panel: f"{int(panel.plant.running)}",
+        "RTU": lambda panel: "F" if panel.fahrenheit else "C",
         "RVER": lambda _: "082100.14C",
-        "RUFS": lambda on: on.faults(),
+        "RUFS": lambda panel: panel.faults(),
     }
 
     def with_unit(self, shown: float) -> str:
@@ -371,20 +376,20 @@ class Haake(Dialect):
     UNKNOWN = WRONG = "F001"
     READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
         "R V1": lambda _: "2P/H PhoenixII 1.31$",
-        "R T1": lambda on: f"T1{on.bath:.2f}$",
-        "R T3": lambda on: f"T3{on.teats:.2f}$",
-        "R SW": lambda on: f"SW{on.aim:.2f}$",
-        "R HL": lambda on: f"HL{on.shown(MOST_C):.2f}$",
-        "R LL": lambda on: f"LL{on.shown(LEAST_C):.2f}$",
-        "R PF": lambda on: f"PF{100.0 * int(on.plant.running):.2f}$",
+        "R T1": lambda panel: f"T1{panel.bath:.2f}$",
+        "R T3": lambda panel: f"T3{panel.teats:.2f}$",
+        "R SW": lambda panel: f"SW{panel.target:.2f}$",
+        "R HL": lambda panel: f"HL{panel.shown(MOST_C):.2f}$",
+        "R LL": lambda panel: f"LL{panel.shown(LEAST_C):.2f}$",
+        "R PF": lambda panel: f"PF{100.0 * int(panel.plant.running):.2f}$",
         "R CC": lambda _: "CC0$",
         "R FR": lambda _: "FR0$",
         "R WD": lambda _: "WD0$",
-        "R WS": lambda on: f"WS{on.aim:.2f}$",
+        "R WS": lambda panel: f"WS{panel.target:.2f}$",
         "R ZA": lambda _: "ZA0$",
         "R ZB": lambda _: "ZB0$",
         "R ZI": lambda _: "ZI0$",
-        "R BS": lambda on: on.status(),
+        "R BS": lambda panel: panel.status(),
     }
 
     def status(self) -> str:
@@ -402,15 +407,15 @@ class PolyScience(Dialect):
     SETS, DONE = "SS", "!"
     UNKNOWN = WRONG = OUTSIDE = "?"
     READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
-        "RT": lambda on: f"{on.bath:+.2f}",
-        "RR": lambda on: f"{on.teats:+.2f}",
-        "RS": lambda on: f"{on.aim:+.2f}",
-        "RH": lambda on: f"{on.shown(MOST_C):+.0f}",
-        "RL": lambda on: f"{on.shown(LEAST_C):+.0f}",
+        "RT": lambda panel: f"{panel.bath:+.2f}",
+        "RR": lambda panel: f"{panel.teats:+.2f}",
+        "RS": lambda panel: f"{panel.target:+.2f}",
+        "RH": lambda panel: f"{panel.shown(MOST_C):+.0f}",
+        "RL": lambda panel: f"{panel.shown(LEAST_C):+.0f}",
         "RM": lambda _: "100",
-        "RO": lambda on: f"{int(on.plant.running)}",
-        "RF": lambda on: f"{int(bool(on.plant.alarm))}",
-        "RU": lambda on: "F" if on.fahrenheit else "C",
+        "RO": lambda panel: f"{int(panel.plant.running)}",
+        "RF": lambda panel: f"{int(bool(panel.plant.alarm))}",
+        "RU": lambda panel: "F" if panel.fahrenheit else "C",
     }
 
 

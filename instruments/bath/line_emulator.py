@@ -51,8 +51,8 @@ class LineEmulator(Emulator):
         self.framing = "line"
         self.profile = profile
         self._buffers: dict[Connection, bytes] = {}
-        self._heard_s = 0.0
-        self._looks = False  # whether a look at the watchdog is planned
+        self._received_s = 0.0
+        self._watchdog_planned = False
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
     def connect(self, connection: Connection) -> None:
@@ -70,8 +70,8 @@ class LineEmulator(Emulator):
         for command in commands:
             if self.is_silent:
                 continue
-            self._heard_s = self._clock.now()
-            self.plant.advance_to(self._heard_s)
+            self._received_s = self._clock.now()
+            self.plant.advance_to(self._received_s)
             how = self.profile.checksum, self.profile.checksum_skip
             said = checked(command.decode("ascii", errors="replace").strip("\r\n"), *how)
             answer = None if said is None else self.panel.answer(said)
@@ -83,22 +83,22 @@ class LineEmulator(Emulator):
             self._watch(connection)
 
     def _watch(self, connection: Connection) -> None:
-        """Look again when the panel's watchdog will have run out, if no command comes."""
-        if self._looks or not self.panel.watchdog_s:
+        """Plan the end of the panel's watchdog, for the case that no command comes before."""
+        if self._watchdog_planned or not self.panel.watchdog_s:
             return
-        self._looks = True
+        self._watchdog_planned = True
 
-        def look() -> None:
-            self._looks = False
+        def check() -> None:
+            self._watchdog_planned = False
             now_s, seconds = self._clock.now(), self.panel.watchdog_s
-            if seconds and now_s >= self._heard_s + seconds:
+            if seconds and now_s >= self._received_s + seconds:
                 self.plant.advance_to(now_s)
-                self.panel.miss_host()
+                self.panel.time_out()
             else:
                 self._watch(connection)
 
-        due_s = self._heard_s + self.panel.watchdog_s - self._clock.now()
-        connection.after(max(0.0, due_s), look, when_gone=True)
+        due_s = self._received_s + self.panel.watchdog_s - self._clock.now()
+        connection.after(max(0.0, due_s), check, when_gone=True)
 
 
 def dialect_of(profile: LineProfile) -> type[Dialect] | None:

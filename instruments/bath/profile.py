@@ -52,8 +52,6 @@ REACHED_BY = {  # a transport, as a URL
 }
 
 Made = TypeVar("Made", bound="Device")
-
-
 Faults = Iterator[tuple[Keys, str]]
 
 
@@ -108,7 +106,7 @@ class Device(Strict):
         return row
 
 
-class Wiring(Device):
+class ModbusDevice(Device):
     """A Modbus device with its ``functions``; with ``alike``, 3 and 4 read the same registers. From
     address ``pairs_from`` on, registers are read and written in pairs.
     """
@@ -161,7 +159,7 @@ def _writers(row: Row) -> tuple[WriteFunction, ...]:
     return (5,) if row.type == "bit" else (6, 16) if row.words == 1 else (16,)
 
 
-class RelayProfile(Wiring):
+class RelayProfile(ModbusDevice):
     """A device that switches a pump: its row ``pump`` has the values ``on`` and ``off``."""
 
     def faults(self) -> Faults:
@@ -347,7 +345,7 @@ class Profile(Device):
                     yield ("rows", place, "needs"), what
 
 
-class RegisterProfile(Wiring, Profile):
+class RegisterProfile(ModbusDevice, Profile):
     """A family that speaks Modbus."""
 
     remote_label: ClassVar[str] = "modbus"

@@ -21,7 +21,7 @@ MOST_BITS_READ, MOST_BITS_WRITTEN = 2000, 1968
 
 READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
 WRITE_COIL, WRITE_ONE, STATUS, LOOPBACK, WRITE_COILS, WRITE_MANY, EXCHANGE = 5, 6, 7, 8, 15, 16, 23
-ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, FAILURE, BUSY = 1, 2, 3, 4, 6
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, BUSY = 1, 2, 3, 6
 
 READS = {READ_COILS: MOST_BITS_READ, READ_DISCRETE: MOST_BITS_READ}  # the most that each takes
 READS |= {READ_HOLDING: MOST_READ, READ_INPUT: MOST_READ}
@@ -105,7 +105,7 @@ class UnframedError(ValueError):
 
 
 def parse(pdu: bytes) -> Request:
-    """The request. Raises Refused, with the code that the specification's state diagrams give."""
+    """The request. Raises ModbusException with the code of the specification's state diagrams."""
     function, body = pdu[0], pdu[1:]
     if function in (STATUS, LOOPBACK):
         return RawRequest(function, body)

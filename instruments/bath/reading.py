@@ -16,7 +16,7 @@ Values = Mapping[str, float]
 
 
 class ChangedError(ProtocolError):
-    """How the controller speaks is not what it was; it has to be looked at anew."""
+    """The controller's format is not what it was: it has to be identified anew."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, cast, get_args
 
 from instruments.bath.access import NO_VALUE, Access, Raw
-from instruments.bath.profile import RegisterProfile, Wiring, line_to
+from instruments.bath.profile import ModbusDevice, RegisterProfile, line_to
 from instruments.bath.reading import BathReading, ChangedError
 from instruments.bath.requests import Block, blocks, markers
 from instruments.bath.rows import Order, Row, decode
@@ -39,13 +39,13 @@ class RegisterAccess(Access[Row]):
     SHOWN: ClassVar[tuple[str, ...]] = ("model", "version", "firmware", "cut_out")
     SHOWS_ABSENCE: ClassVar[tuple[type[InstrumentError], ...]] = (RefusedError,)
     remote: ClassVar[str] = "Modbus"
-    profile: Wiring
+    profile: ModbusDevice
     wire: Transactions
 
     def __init__(
         self,
         url: str,
-        profile: Wiring,
+        profile: ModbusDevice,
         clock: Clock,
         who: str,
         allow_inferred: bool = False,
@@ -85,7 +85,7 @@ class RegisterAccess(Access[Row]):
 
     def first_poll(self) -> BathReading:
         """With the gaps between rows read over, which a controller may refuse."""
-        self.look_for(self.looked_for)
+        self.note_absent(self.rows_in_use)
         self.choose_blocks(gaps=True)
         try:
             return self.poll_now()

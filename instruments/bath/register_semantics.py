@@ -1,10 +1,10 @@
-"""The emulated controller between registers and plant: how each family behaves beyond what a
-profile says, and each row's name as a look at the plant, an act on it, or a cell of memory.
+"""The emulated controller between registers and plant: how each family behaves beyond its profile;
+what each row reads from the plant (`SOURCES`) and changes in it (`EFFECTS`); and the address space:
+which row answers at which address, in how many registers, and what is refused.
 
-A row that is unknown here is stored as it was written and changes nothing else. The families are
-from the water-bath fact sheet, section 1; where it is silent the choice is the one that is harder
-on a driver, marked as chosen. Last, the address space: which row answers at which address, in how
-many registers, and what is refused.
+A row in neither table is stored as it was written and changes nothing else. The families are from
+the water-bath fact sheet, section 1; where it says nothing, the harder case for a driver is taken,
+marked as chosen.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from instruments.bath import protocol
-from instruments.bath.profile import RegisterProfile, Wiring
+from instruments.bath.profile import ModbusDevice, RegisterProfile
 from instruments.bath.protocol import ModbusException, Read, Write
 from instruments.bath.rows import Order, Row, Table
 from instruments.bath.witness import IEEE_AREA
@@ -25,8 +25,6 @@ TURNED: Mapping[Order, Order] = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA",
 NO_NUMBER = 0x8000  # for a register that can't hold not-a-number; chosen
 PADDING = 0x8000  # behind a word that takes only the first register of its pair
 ALIKE: Mapping[Table, Table] = {"input": "holding", "discrete": "coil"}
-
-
 STANDARD: Mapping[int, Table] = {
     protocol.READ_COILS: "coil",
     protocol.READ_DISCRETE: "discrete",
@@ -140,8 +138,8 @@ def behaviour_of(profile: RegisterProfile) -> Behaviour:
 class Values:
     """The device's memory. Numbers are as they go over the wire: in the unit that it speaks."""
 
-    def __init__(self, profile: Wiring) -> None:
-        self.wiring = profile
+    def __init__(self, profile: ModbusDevice) -> None:
+        self.device = profile
         self.memory: dict[str, float] = {}
 
     @property
@@ -151,7 +149,7 @@ class Values:
 
     @property
     def order(self) -> Order:
-        return self.wiring.order
+        return self.device.order
 
     def number(self, row: Row) -> float:
         return self.memory.get(row.name, 0.0)
@@ -203,7 +201,7 @@ class Controller(Values):
     @property
     def decimals(self) -> int:
         """As Eurotherm's registers 525 and 12550 say."""
-        return 0 if self.remembered("resolution") == 1 else int(self.remembered("decimals"))
+        return 0 if self.stored("resolution") == 1 else int(self.stored("decimals"))
 
     @property
     def order(self) -> Order:
@@ -223,7 +221,7 @@ class Controller(Values):
         return row.encode(number, self.order)
 
     def number(self, row: Row) -> float:
-        value = LOOKS[row.name](self) if row.name in LOOKS else self.remembered(row.name)
+        value = SOURCES[row.name](self) if row.name in SOURCES else self.stored(row.name)
         scale, offset = self._unit(row)
         return value * scale + offset
 
@@ -234,8 +232,8 @@ class Controller(Values):
         if self.ignores:
             return
         self.memory[row.name] = value = self._metric(row, value)
-        if row.name in ACTS:
-            ACTS[row.name](self, value)
+        if row.name in EFFECTS:
+            EFFECTS[row.name](self, value)
 
     def _metric(self, row: Row, value: float) -> float:
         scale, offset = self._unit(row)
@@ -247,8 +245,8 @@ class Controller(Values):
             return 1.0, 0.0
         return 1.8, 32.0 if row.unit == "degC" else 0.0
 
-    def remembered(self, name: str) -> float:
-        """The stored value of a row that nothing in the plant answers for."""
+    def stored(self, name: str) -> float:
+        """The value of a row that does not come from the plant; before a write, as shipped."""
         if name in self.memory:
             return self.memory[name]
         if (start := self.behaviour.starts.get(name)) is None:
@@ -273,9 +271,9 @@ class Controller(Values):
     def alarm1(self) -> str:
         """Which of alarm 1's two thresholds is passed."""
         temp_c = self.temperature_c()
-        if temp_c >= self.remembered("alarm1_high"):
+        if temp_c >= self.stored("alarm1_high"):
             return "high"
-        return "low" if temp_c <= self.remembered("alarm1_low") else "none"
+        return "low" if temp_c <= self.stored("alarm1_low") else "none"
 
     def reset(self) -> None:
         """Power off and on. A family that keeps nothing is as shipped then, in standby."""
@@ -297,8 +295,8 @@ def _run(on: Controller) -> float:
 
 def _mode(name: str, automatic: str) -> Callable[[Controller], float]:
     def look(on: Controller) -> float:
-        if on.remembered(name) != on.code(name, automatic):
-            return on.remembered(name)
+        if on.stored(name) != on.code(name, automatic):
+            return on.stored(name)
         return on.code(name, "manual" if on.plant.manual_output is not None else automatic)
 
     return look
@@ -321,16 +319,16 @@ def _encoding(on: Controller) -> float:
 
 def _set_point(on: Controller) -> float:
     local = on.memory.get("set_point", on.plant.set_point_c)
-    return local if on.remembered("local_remote") else on.plant.set_point_c
+    return local if on.stored("local_remote") else on.plant.set_point_c
 
 
 def _set_point_1(on: Controller) -> float:
     """Eurotherm: the target set point is this one while it is selected."""
-    chosen = on.remembered("set_point_select") == on.code("set_point_select", "sp1")
-    return _set_point(on) if chosen else on.remembered("set_point_1")
+    chosen = on.stored("set_point_select") == on.code("set_point_select", "sp1")
+    return _set_point(on) if chosen else on.stored("set_point_1")
 
 
-LOOKS: Mapping[str, Callable[[Controller], float]] = {
+SOURCES: Mapping[str, Callable[[Controller], float]] = {
     "run": _run,
     "run_active": _run,
     "auto_manual": _mode("auto_manual", "auto"),
@@ -399,22 +397,22 @@ def _actuating(on: Controller, value: float) -> None:
 
 def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - which of three rows has changed does not matter
     """The set point is the local one or, on a controller that is set so, the remote one."""
-    name = "remote_set_point" if on.remembered("local_remote") == 1 else "set_point"
+    name = "remote_set_point" if on.stored("local_remote") == 1 else "set_point"
     on.plant.set_point_c = on.memory.get(name, on.plant.set_point_c)
 
 
 def _take_set_point_1(on: Controller, value: float) -> None:
-    if on.remembered("set_point_select") == on.code("set_point_select", "sp1"):
+    if on.stored("set_point_select") == on.code("set_point_select", "sp1"):
         on.memory["set_point"] = value
         _aim(on, value)
 
 
-ACTS: Mapping[str, Callable[[Controller, float], None]] = {
+EFFECTS: Mapping[str, Callable[[Controller, float], None]] = {
     "run": _start_or_stop,
     "auto_manual": _automatic,
     "control": _automatic,
     "actuating": _actuating,
-    "heating_power": lambda on, _: _actuating(on, on.remembered("actuating")),
+    "heating_power": lambda on, _: _actuating(on, on.stored("actuating")),
     "set_point": _aim,
     "set_point_1": _take_set_point_1,
     "remote_set_point": _aim,
@@ -467,7 +465,7 @@ class Cells:
     """The address space of a device of ``profile``'s family."""
 
     def __init__(
-        self, profile: Wiring, behaviour: Behaviour, values: Values, faults: Set[str]
+        self, profile: ModbusDevice, behaviour: Behaviour, values: Values, faults: Set[str]
     ) -> None:
         self._faults = faults
         self._behaviour = behaviour
@@ -490,7 +488,7 @@ class Cells:
                     self._at.setdefault((table, address), cell)
 
     def read(self, request: Read) -> list[int]:
-        """The bits or registers asked for. Raises Refused."""
+        """The bits or registers asked for. Raises ModbusException."""
         table = self._alike(self._behaviour.functions[request.function])
         end = request.address + request.count
         self._check_pairs(request.address, request.count, request.function)
@@ -510,7 +508,7 @@ class Cells:
         return found
 
     def write(self, request: Write) -> None:
-        """All of the request or nothing, and whole rows only. Raises Refused."""
+        """Store the whole request or nothing; whole rows only. Raises ModbusException."""
         wanted = []
         for cell, words in self._targets(request):
             value = cell.decode(words, self._values)

@@ -32,7 +32,7 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from instruments.bath.profile import ReadFunction, Wiring
+from instruments.bath.profile import ModbusDevice, ReadFunction
 from instruments.bath.rows import Row, Table
 
 MOST_WORDS = 125  # a read answers no more (Modbus application protocol 1.1b3, section 6.3)
@@ -65,7 +65,7 @@ class Block:
 
 
 def blocks(
-    profile: Wiring, *, gaps: bool, inferred: bool = False, without: Container[str] = ()
+    profile: ModbusDevice, *, gaps: bool, inferred: bool = False, without: Container[str] = ()
 ) -> tuple[Block, ...]:
     """The requests of one poll. ``gaps`` reads over addresses without a row, which a controller may
     refuse; ``inferred`` takes in rows whose evidence is INFERRED; ``without``: rows left out.
@@ -83,7 +83,7 @@ def blocks(
     return tuple(found)
 
 
-def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int, int], ...]:
+def markers(profile: ModbusDevice, *, inferred: bool = False) -> tuple[tuple[int, int, int], ...]:
     """Reads (function, address, count) that the device surely answers, one of each shape of answer;
     none where there are fewer than two shapes.
     """

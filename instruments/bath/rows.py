@@ -20,8 +20,6 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 Evidence = Literal["CERTAIN", "FIELD", "INFERRED"]
-
-
 NEEDED = ("temperature", "set_point", "run")
 FULL_PERCENT = 100.0
 # what no device has: words in a wrong order or at a wrong address often give such numbers
@@ -219,7 +217,7 @@ class Row(Quantity):
                 yield f"no_value.{label} = {code} is no register of 16 bits"
 
     def decode(self, registers: Sequence[int], order: Order) -> float:
-        """The value in ``unit``, nan for a code of ``no_value``. Raises ValueError."""
+        """The value in ``unit``, not-a-number for a code of ``no_value``. Raises ValueError."""
         if len(registers) == self.words and registers[0] in self.no_value.values():
             return math.nan
         return self.masked(decode(registers, self.type, self.order or order) * self.scale)
@@ -343,7 +341,7 @@ class LineRow(Quantity):
         return line[len(before) : len(line) - len(after)].strip() or line
 
     def sent(self, value: float) -> float:
-        """What is left of ``value`` after the rounding of its command."""
+        """``value`` as rounded by its command."""
         if self.values or not isinstance(self.tell, str) or self.access == "r":
             return value
         places = 0 if "<hex>" in self.tell else self.places

@@ -46,11 +46,11 @@ class Session(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """The link has just been opened: what comes at first may answer another host."""
+        """Begin on a link that has just been opened; the first bytes may answer another host."""
 
     @abstractmethod
     def take(self, data: bytes) -> None:
-        """Bytes came."""
+        """Take in bytes that came."""
 
     @property
     def connected(self) -> bool:
@@ -127,8 +127,8 @@ class Session(ABC):
             raise
 
     def drop_unasked(self, link: Link) -> bool:
-        """Take in what lies there unasked, which answers nothing; whether there was any. Raises
-        ProtocolError for a peer that sends without pause.
+        """Drop what has come without a question; whether there was any. Raises ProtocolError for a
+        peer that sends without pause.
         """
         wait, any_came = link.reception(self.clock.now()), False
         while self.receive(link, 0.0, wait) and not wait.over:

@@ -24,7 +24,7 @@ CAN_GIVE = (*KNOWN, DEPTH)
 class Camera(Protocol):
     """One camera with its settings made. ``prepare`` waits for what it needs; ``begin`` triggers,
     or asks for a fresh frame; ``take`` waits for it. They raise FrameError, or LinkError when the
-    camera is gone. One that knows so without a frame may also have ``glance()``, which raises it.
+    camera is gone. One that notices this without a frame may have ``glance()``, which raises it.
     """
 
     identity: str
@@ -108,7 +108,7 @@ class CameraSet:
         self._open()
 
     def glance(self) -> None:
-        """Raises LinkError where a camera knows that it is gone; asks for no frame, waits not."""
+        """Raises LinkError where a camera has noticed that it is gone; asks for no frame."""
         for camera in (*self._cameras.values(), self._group):
             getattr(camera, "glance", lambda: None)()
 

@@ -1,6 +1,7 @@
 """A GigE Vision or USB3 Vision camera, optical, radiometric or of depth, through Aravis, which is
-loaded on demand. A damaged buffer is never a picture: the next whole frame is taken instead, and
-told. Distances are as in the SFNC 2.7, 3D scan control: count x scale + offset, in a unit.
+loaded on demand. A damaged buffer is never a picture: the next whole frame is taken instead, with
+the count of damaged ones. Distances are as in the SFNC 2.7, 3D scan control: count x scale +
+offset, in a unit.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from instruments.errors import LinkError
 
 COUNTS = "gray16le"
-# to PyAV before 19, metadata that are no UTF-8 are an error; since then nothing is to be said of it
+# metadata that are no UTF-8 are an error to PyAV before 19; later ones have no such option
 LENIENT: dict[str, Any] = {"metadata_errors": "replace"} if av.__version__ < "19" else {}
 DAMAGED = (av.FFmpegError, OSError, ValueError, LookupError)  # what the library raises for a file
 

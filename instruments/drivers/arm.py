@@ -70,7 +70,7 @@ class PluggedArm(Plugged):
         return self._identity is not None
 
     def asked_of(self, operator: object) -> None:
-        """It asks nobody."""
+        """Does nothing: a plug-in's arm asks no operator."""
 
     def record(self) -> dict[str, object]:
         """What it says of itself."""
@@ -161,7 +161,7 @@ class PluggedArm(Plugged):
         try:
             self._stop()
         except InstrumentError:
-            self._border.forget()  # another link may be heard
+            self._border.forget()  # another link may answer
             self._stop()
         self.moves = False
 

@@ -14,7 +14,7 @@ from instruments.bath.rows import Quantity
 from instruments.clock import Clock
 from instruments.device_file import faults_of
 from instruments.drivers.border import Plugged, PluginBoundary
-from instruments.drivers.entry_points import Plugin, short
+from instruments.drivers.entry_points import Plugin, one_line
 from instruments.drivers.plugin import BathDriver, BathState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 
@@ -239,5 +239,5 @@ class PluggedBath(Plugged):
             for name, value in (("external_c", given.external_c), ("power", given.power_percent))
         )
         set_point_c = border.number(given.set_point_c, "set point")
-        alarm = short(str(given.alarm or ""))
+        alarm = one_line(str(given.alarm or ""))
         return BathState(temp_c, running, set_point_c, external_c, power, alarm)

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
-from instruments.drivers.entry_points import Plugin, by_ctrl_c, said, short, undisturbed
+from instruments.drivers.entry_points import Plugin, by_ctrl_c, one_line, said, undisturbed
 from instruments.errors import DriverError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S, BEAT_S = 10.0, 10.0, 2.0, 1.0
@@ -134,7 +134,7 @@ class PluginBoundary(Generic[Made]):
         who = self.who if by.lower() in self.who else f"{self.who} ({by})"
         facts = {key: given.get(key) for key in ("asked", "seen", "seconds")}
         hint = given.get("hint") or self.look
-        InstrumentError.__init__(error, who, short(str(given["what"])), **facts, hint=hint)
+        InstrumentError.__init__(error, who, one_line(str(given["what"])), **facts, hint=hint)
 
     def broken(self, what: str, seen: object) -> ProtocolError:
         """What to raise where it gives what no device can show."""
@@ -144,7 +144,7 @@ class PluginBoundary(Generic[Made]):
         """Its identity as text. Raises ProtocolError."""
         if not isinstance(given, Mapping) or not given:
             raise self.broken("its identity is no mapping with something in it", given)
-        return {short(str(key)): short(str(value)) for key, value in given.items()}
+        return {one_line(str(key)): one_line(str(value)) for key, value in given.items()}
 
     def number(self, value: object, what: str) -> float:
         """A finite number. Raises ProtocolError."""

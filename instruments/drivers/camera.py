@@ -12,7 +12,7 @@ from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCali
 from instruments.camera.frame import FrameError, FrameFault, RawFrame, no_picture
 from instruments.clock import Clock
 from instruments.drivers.border import Plugged, PluginBoundary
-from instruments.drivers.entry_points import Plugin, short
+from instruments.drivers.entry_points import Plugin, one_line
 from instruments.errors import DeviceError, LimitError
 
 CAPTURE_S = 30.0  # a long exposure, and a slow link
@@ -26,7 +26,7 @@ class PluggedCamera(Plugged):
         self.who, self._name = f"{name} camera {plugged.name}", name
         self._border: PluginBoundary[Camera] = PluginBoundary(plugged, self.who, clock)
         with self._border.opening():
-            who = self._border.call("identity", lambda camera: short(str(camera.identity)))
+            who = self._border.call("identity", lambda camera: one_line(str(camera.identity)))
         self.identity, self._asked_s = f"{who} ({plugged})", clock.now()
 
     def prepare(self) -> None:
@@ -58,7 +58,7 @@ class PluggedGroup(Plugged):
             if not given or not set(given) <= set(CAN_GIVE):
                 what = f"its parts are {given}; a group gives some of {', '.join(CAN_GIVE)}"
                 raise LimitError(self.who, what, hint=f"Correct {plugged}.")
-            who = self._border.call("identity", lambda group: short(str(group.identity)))
+            who = self._border.call("identity", lambda group: one_line(str(group.identity)))
         self.parts: tuple[str, ...] = given
         self.identity = f"{who} ({plugged})"
 

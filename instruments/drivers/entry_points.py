@@ -37,7 +37,7 @@ import numpy as np
 
 from instruments.clock import Clock
 from instruments.errors import LimitError
-from textfiles.text import named
+from textfiles.text import named, short
 
 PLUGIN, EMULATOR = "plugin:", "emulator:"
 SAID = 200  # characters of another's words
@@ -184,15 +184,15 @@ def _source(plug: EntryPoint) -> str:
     return f"{package} ({plug.value})"
 
 
-def short(said: str) -> str:
+def one_line(said: str) -> str:
     """Another's words on one line, as far as they have room in a message, and can be printed."""
     said = "".join(filter(str.isprintable, " ".join(said.split())))
-    return said if len(said) <= SAID else f"{said[: SAID - 3]}..."
+    return short(said, SAID)
 
 
 def said(what: object) -> str:
     """An error, or what was given, in a message."""
-    return short(named(what))
+    return one_line(named(what))
 
 
 def by_ctrl_c(error: BaseException) -> bool:

@@ -1,4 +1,4 @@
-"""What the bench asks of an open arm, bath, stage and set of cameras, whoever wrote the driver.
+"""The calls of an open arm, bath, stage and set of cameras, the same for every driver.
 
 All calls raise InstrumentErrors alone. Time is the clock's that the driver was made with. `safe`
 may be called at any time, twice, and after a fault; `close` twice.
@@ -25,8 +25,8 @@ __all__ = ["Arm", "Bath", "Cameras", "Stage"]
 
 class Arm(Protocol):
     """A measuring arm. ``touches``: it goes to a point by itself; ``moves``: by a call of ours, and
-    no stand was read back since; ``pedals``: it has some, which `buttons` shows. `asked_of` names
-    whom it may ask.
+    it was not read back at rest since; ``pedals``: it has some, which `buttons` shows.
+    `asked_of` names the operator that it may ask.
     """
 
     who: str

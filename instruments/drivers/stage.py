@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.drivers.border import Plugged, PluginBoundary
-from instruments.drivers.entry_points import Plugin, short
+from instruments.drivers.entry_points import Plugin, one_line
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.stage.calls import StageCalls
@@ -150,7 +150,7 @@ class PluggedStage(Plugged, StageCalls):
             self.brake()
             self.stands()
         except InstrumentError:
-            self._border.forget()  # another link may be heard
+            self._border.forget()  # another link may answer
             self.brake()
             self.stands()
         self._move, self.moves = None, False
@@ -220,4 +220,4 @@ class PluggedStage(Plugged, StageCalls):
         moving, homed = border.flag(given.moving, "moving"), border.flag(given.homed, "homed")
         place = {axis: given.place.get(axis, None if axis in self.axes else 0.0) for axis in AXES}
         numbers = {axis: border.number(at, f"place of axis {axis}") for axis, at in place.items()}
-        return StageState(numbers, moving, homed, short(str(given.fault or "")))
+        return StageState(numbers, moving, homed, one_line(str(given.fault or "")))

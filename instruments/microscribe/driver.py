@@ -531,7 +531,7 @@ class MicroScribe:
         return self.poll().buttons
 
     def asked_of(self, operator: object) -> None:
-        """It asks nobody."""
+        """Does nothing: this arm asks no operator."""
 
     def touch(self, point_mm: npt.NDArray[np.float64], axis: npt.NDArray[np.float64]) -> None:
         """Raises LimitError: it is moved by hand."""

@@ -276,7 +276,7 @@ class ArmEmulator:
         """Start with the home counts, wherever the stylus is. Raises OutOfReachError."""
         self._powered = True
         self._load_home()
-        self._displace()
+        self._start_off_peg()
 
     def power_cycle(self) -> None:
         """Off and on. Raises OutOfReachError for an impossible hand."""
@@ -287,7 +287,7 @@ class ArmEmulator:
         if fault is ArmFault.POWER_LOSS:
             (self.power_off if on else self.power_on)()
         elif fault is ArmFault.NEVER_HOMED:
-            self._displace()
+            self._start_off_peg()
 
     # The firmware. In a live session bit 7 of a command is ignored, so letters are commands;
     # unsupported commands get no answer.
@@ -378,7 +378,7 @@ class ArmEmulator:
             return reply[:1] + bytes([conf.PARAMETER_BYTES - 2]) + reply[2:-2]
         return reply
 
-    # The body behind the firmware
+    # Pedals and encoders
 
     def _look(self) -> EncoderSample:
         """Pedals and encoders at this moment. Raises OutOfReachError for an impossible hand."""
@@ -397,8 +397,8 @@ class ArmEmulator:
         counts = self._mechanics.counts(self._looks)
         self._offset = [home - count for home, count in zip(self.unit.home, counts, strict=True)]
 
-    def _displace(self) -> None:
-        """The arm wakes with its stylus off the peg, where that is its fault."""
+    def _start_off_peg(self) -> None:
+        """Count from a place off the peg, where that fault is on."""
         if self.faults.strikes(ArmFault.NEVER_HOMED):
             displaced = self.faults.displacement(len(self._offset))
             self._offset = [a + b for a, b in zip(self._offset, displaced, strict=True)]
@@ -406,7 +406,7 @@ class ArmEmulator:
     # The device behind the listener
 
     def connect(self, connection: Connection) -> None:
-        """A host plugs in. The arm doesn't notice; what another host left behind is still there."""
+        """A host plugs in. The arm keeps the state in which another host left it."""
         self._sent_until_s = 0.0
         if self._powered and self.faults.strikes(ArmFault.OLD_SESSION):
             self._enter(State.SESSION)
@@ -418,7 +418,7 @@ class ArmEmulator:
             self._run(self._stream, connection)
 
     def disconnect(self, connection: Connection) -> None:
-        """The host's cable is out; the arm doesn't notice, and its session lives on."""
+        """The host has gone. The arm keeps its session."""
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Take bytes, cut anywhere, and answer."""
@@ -434,11 +434,11 @@ class ArmEmulator:
             return
         before = self._stream
         take, damage = self._take, self.faults.damage
-        data = self.faults.mislay(data)
+        data = self.faults.lose_byte(data)
         try:
             answer = b"".join([damage(take(byte, rate)) for byte in data])
         except OutOfReachError as error:
-            self._let_go(connection, error)
+            self._hang_up(connection, error)
         else:
             self._put(connection, answer)
         stream = self._stream
@@ -457,7 +457,7 @@ class ArmEmulator:
             try:
                 look = self._look()
             except OutOfReachError as error:
-                self._let_go(connection, error)
+                self._hang_up(connection, error)
             else:
                 if stream.fires(look):
                     packet = self._packet(stream.command, look)
@@ -470,8 +470,8 @@ class ArmEmulator:
 
     # Adapter and cable
 
-    def _let_go(self, connection: Connection, error: OutOfReachError) -> None:
-        """No position is better than a wrong one."""
+    def _hang_up(self, connection: Connection, error: OutOfReachError) -> None:
+        """End the link of an arm whose hand is out of reach: it has no right position."""
         self.unreachable = error
         connection.hang_up()
 

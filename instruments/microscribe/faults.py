@@ -125,8 +125,8 @@ class Faults:
         garbage = self.noise(5) if self.strikes(ArmFault.GARBAGE) else b""
         return garbage + bytes(data)
 
-    def mislay(self, question: bytes) -> bytes:
-        """What came from the host, not empty, less a byte that got lost on the way."""
+    def lose_byte(self, question: bytes) -> bytes:
+        """``question``, not empty; without one of its bytes where that fault strikes."""
         if not self._left or not self.strikes(ArmFault.LOST_QUESTION):
             return question
         lost = int(self._chance().integers(0, len(question)))

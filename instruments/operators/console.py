@@ -62,7 +62,7 @@ class Descriptor:
 
 
 class Keys:
-    """A Windows console, key by key, which alone doesn't block until Enter; as of msvcrt."""
+    """A Windows console, read key by key (msvcrt): a read of a line would block until Enter."""
 
     def __init__(
         self, pressed: Callable[[], bool], key: Callable[[], str], echo: Callable[[str], object]

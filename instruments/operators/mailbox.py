@@ -20,10 +20,11 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter
 
 from instruments.clock import wall_time
 from instruments.operators import operator as op
-from textfiles.whole import in_turn, sync, take_place
+from textfiles.whole import in_turn, replace_whole, sync
 
 FOLDER, PROMPT, ANSWERS = "console", "prompt.json", "answers"
-LONGEST, LONGEST_NUMBER = 1 << 20, 16  # bytes of a file, digits of a number
+LONGEST = 1 << 20  # bytes of a file
+LONGEST_NUMBER = 16  # digits
 TERMINAL, BENCH = "the terminal", "the bench"  # who answered, beside names of browsers
 
 
@@ -93,9 +94,7 @@ class Mailbox:
         return given
 
     def _show(self, prompt: Mapping[str, Any]) -> None:
-        part = self._folder / f"{PROMPT}.part"
-        part.write_text(json.dumps(prompt, ensure_ascii=False), encoding="utf-8")
-        take_place(part, self._folder / PROMPT)
+        replace_whole(self._folder / PROMPT, json.dumps(prompt, ensure_ascii=False).encode())
 
 
 class _PromptFile(BaseModel):

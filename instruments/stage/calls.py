@@ -1,5 +1,5 @@
-"""What the bench asks of an open stage, whoever wrote the driver, and what all of them do alike:
-who answered, its travel, moves to a place and by so much.
+"""The calls of an open stage, the same for every driver; and what all drivers do alike: identity,
+travel, moves to a place and by so much.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from instruments.stage.settings import AxisLimits, StageIdentity, StageSettings,
 class StageCalls(ABC):
     """The stage of ``axes`` at ``url``, in machine coordinates: mm by axis letter, degrees for A.
     ``before_moving`` is called before anything is sent that moves it; what it raises keeps that
-    from being sent. ``moves``: by a call of ours, and no stand was read back since. `brake` and
-    `stands` may be called from any thread.
+    from being sent. ``moves``: by a call of ours, and it was not read back at rest since. Any
+    thread may call `brake` and `stands`.
     """
 
     def __init__(self, url: str, who: str, axes: str) -> None:
@@ -139,6 +139,6 @@ class StageCalls(ABC):
         return AXES if "A" in self.axes else AXES[:3]
 
     def _begin_moving(self) -> None:
-        """From now on it may move, by us."""
+        """From now on the stage may move by a call of ours."""
         self.before_moving()
         self.moves = True

@@ -54,7 +54,7 @@ from instruments.stage.settings import (
 ANSWER_S = 2.0  # classic boards answer within milliseconds, but writing a setting takes longer
 STATUS_S = 1.0
 START_S = 2.5  # a board's boot loader waits 1 to 2 s after the port has been opened
-BOOT_S = 15.0  # FluidNC talks of its network for so long before its welcome
+BOOT_S = 15.0  # FluidNC reports its network for so long before its welcome
 QUIET_S = 0.25
 ASK_AGAIN_S = 0.25
 LOCKED = frozenset({"Alarm", "Sleep"})
@@ -63,8 +63,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def whole(question: Callable[P, R]) -> Callable[P, R]:
-    """A method of `Dialogue` that no other thread's question interrupts."""
+def atomic(question: Callable[P, R]) -> Callable[P, R]:
+    """A method of `Dialogue` that waits for other threads' questions, and lets none in between."""
 
     @wraps(question)
     def asked(*given: P.args, **more: P.kwargs) -> R:
@@ -76,16 +76,18 @@ def whole(question: Callable[P, R]) -> Callable[P, R]:
 
 
 class TurnLock:
-    """Whose turn it is to ask. Reentrant, and taken by `with` alone: an interrupt keeps none."""
+    """A lock for one question at a time. Reentrant; an interrupt leaves none taken, since only
+    `with` takes it.
+    """
 
     def __init__(self) -> None:
         self._asking = threading.RLock()
-        self._next = threading.RLock()  # held by whoever waits for the turn: locks are not fair
+        self._next = threading.RLock()  # held by a thread that waits: locks are not fair
         self._speaker: int | None = None
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Wait for the turn, and have it meanwhile."""
+        """Wait for the lock, and hold it."""
         with self._next:
             pass
         with self._asking:
@@ -135,7 +137,7 @@ class Dialogue:
         self._inbox: deque[Response] = deque()
         self._offset: Position | None = None
 
-    @whole
+    @atomic
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         """Send a line and wait for its ``ok``; what was pushed meanwhile."""
         data = encode(text, who=self.who)
@@ -157,7 +159,7 @@ class Dialogue:
                 raise DeviceError(self.who, what, asked=text, hint=hint)
             pushed.append(answer)
 
-    @whole
+    @atomic
     def status(self) -> Status:
         """A fresh status report; asked for again after an alarm, as a restarting board loses it."""
         self.wait(0.0)
@@ -240,27 +242,27 @@ class Dialogue:
         self.write(HOLD)
 
     def cancel_jog(self) -> None:
-        """Brake, and forget the rest of a jog."""
+        """Brake, and drop the rest of a jog."""
         self.write(JOG_CANCEL)
 
     def abort(self) -> None:
         """Stop whatever it does, homing too; the position is lost. Raises LinkError."""
         self.restart()
 
-    @whole
+    @atomic
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises at once for an alarm, a restart or a malformed answer."""
         wait = self._link.reception(self._clock.now() + seconds)
         while self._next(wait) is not None:
             pass
 
-    @whole
+    @atomic
     def start(self) -> Welcome:
         """On a new link: wait for the welcome after the port's reset, or reset the board."""
         self.upsets += 1
         return self._welcome() or self.restart()
 
-    @whole
+    @atomic
     def restart(self) -> Welcome:
         """Soft reset: drop outstanding answer, alarm and input. Raises LinkError, ProtocolError."""
         self.upsets += 1
@@ -297,7 +299,7 @@ class Dialogue:
             seen += data
             if welcome := _last_welcome(self._decoder, data):
                 break
-            if b"\n" in data:  # a board that starts talks in lines
+            if b"\n" in data:  # a board that starts sends lines
                 wait.until_s = min(start_s + BOOT_S, self._clock.now() + START_S)
         if welcome is None and seen:
             what, hint = "this is not GRBL: no welcome", "Is this the stage's port, at 115200 baud?"
@@ -310,13 +312,13 @@ class Dialogue:
         return welcome
 
     def _forget(self) -> None:
-        """Whatever was outstanding, kept or half received."""
+        """Drop what is outstanding, kept or half received."""
         self._decoder, self._offset = Decoder(self._parse), None
         self.alarm = self.outstanding = None
         self._inbox.clear()
 
     def _check(self, text: str) -> None:
-        """Nothing is sent over an alarm or an open question."""
+        """Raise where an alarm or an open question forbids a further line."""
         if self.alarm is None:
             self.wait(0.0)
         if self.alarm is not None:

@@ -77,7 +77,7 @@ class Stage(StageCalls):
         self._move: Move | None = None
 
     def connect(self) -> StageIdentity:
-        """Meet the controller and read its settings. Raises DeviceError for unusable ones."""
+        """Identify the controller and read its settings. Raises DeviceError for unusable ones."""
         self._identified = self._dialogue.identify(self.axes)
         return self.identity
 
@@ -202,7 +202,7 @@ class Stage(StageCalls):
             self.stop()
 
     def _stop(self) -> None:
-        if self._dialogue.alarm is not None:  # its own word; it answers nothing else until a reset
+        if self._dialogue.alarm is not None:  # then some answer nothing until a reset
             self._dialogue.check_link()
             return
         if self._dialogue.homing:  # then classic firmware obeys only a reset, Marlin only M112
@@ -283,7 +283,7 @@ class Stage(StageCalls):
     def _ready_at(self, line: str) -> Target:
         """Where the stage stands, ready to move. Raises LimitError unless it is."""
         status = self._dialogue.status()
-        self._check_homed(line)  # the report may have brought bad news with it
+        self._check_homed(line)  # the report may have shown an alarm or a restart
         if status.state != "Idle" or self._under_way:
             what = "a move is still under way, or the stage is not idle"
             hint = "Call finish_move(), or stop()."
@@ -318,7 +318,7 @@ class Stage(StageCalls):
         return self._check_idle("not idle after the move", "Was the stage held at its own panel?")
 
     def _identify_first(self) -> None:
-        """Where nobody has connected yet, as where an interlock trips before the run does."""
+        """Identify a controller that is not connected yet, as where an interlock trips first."""
         if self._identified is None:
             self._dialogue.identify_first(self.axes)
 

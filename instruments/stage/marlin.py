@@ -1,10 +1,11 @@
-"""The conversation with Marlin: a line out, ``ok`` back, and chatter between.
+"""The conversation with Marlin: a line out, ``ok`` back, and other lines between.
 
-Marlin says neither whether it is homed nor what it does, and forgets its position without a word
-when it restarts. So the position is read from the step counts (M114), a volatile setting that we
-make unusual is asked back with each report (M113: another value means a restart), and whatever
-stops it or makes no sense costs the position. Sources: Marlin's G-code documentation; its source
-1.1, 2.0 and 2.1 (M113, M114, M115, M211, M503, language.h, e_parser); reports of its users.
+Marlin reports neither whether it is homed nor what it does, and loses its position without a
+message when it restarts. So the position is read from the step counts (M114); a volatile setting is
+given an unusual value and read with each report (M113: another value means a restart); and an
+answer that makes no sense, or a stop, costs the position. Sources: Marlin's G-code documentation;
+its source 1.1, 2.0 and 2.1 (M113, M114, M115, M211, M503, language.h, e_parser); reports of its
+users.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import ClassVar
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue, whole
+from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue, atomic
 from instruments.stage.protocol import (
     HOME_AGAIN,
     Alarm,
@@ -176,13 +177,13 @@ class MarlinDialogue(Dialogue):
         self._steps: Position = (1.0, 1.0, 1.0)
         self._stale = False  # answers may come that belong to nothing
         self._marks = 0
-        self._told_last = ""  # since the last line was sent: the reason of a halt comes before it
+        self._last_message = ""  # since the last line was sent: it says why a halt that follows is
 
     def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if "A" in axes:
             raise LimitError(self.who, "Marlin is driven in X, Y and Z only", asked=axes)
         self.start()
-        lines = self._told("M115")
+        lines = self._messages("M115")
         said = " ".join(lines)
         named = re.search(
             r"FIRMWARE_NAME: ?Marlin (\S*)(.*?)(?: SOURCE_CODE_URL| [A-Z_]+:|$)", said
@@ -198,7 +199,7 @@ class MarlinDialogue(Dialogue):
             hint = "Use a build with EMERGENCY_PARSER: only then M410 and M112 are obeyed at once."
             what = "this Marlin can't be stopped while it homes"
             raise DeviceError(self.who, what, asked="M115", hint=hint)
-        settings = read_marlin(self._told("M503") + self._told("M211"), axes, who=self.who)
+        settings = read_marlin(self._messages("M503") + self._messages("M211"), axes, who=self.who)
         self._axes, self._steps = axes, settings.steps_per_mm
         self._counts()
         return StageIdentity("Marlin", named[1], named[2].strip(" ()"), ""), settings
@@ -207,24 +208,24 @@ class MarlinDialogue(Dialogue):
         """The steps, without which no place is known, and that a beat is ours."""
         self.identify(axes)
 
-    def _told(self, line: str) -> list[str]:
+    def _messages(self, line: str) -> list[str]:
         return [said.text for said in self.command(line) if isinstance(said, Message)] or [""]
 
-    @whole
+    @atomic
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         if self._stale:
             self._synchronize()
-        self._told_last = ""
+        self._last_message = ""
         try:
             return super().command(text, timeout_s)
         except DeviceError:
             self._stale = True  # an ``ok`` follows a refusal, too
             raise
 
-    @whole
+    @atomic
     def status(self) -> Status:
         """A fresh report: "Run" while the step counts are not at the place that it was sent to."""
-        if f"M113 S{BEAT_S}" not in self._told("M113"):
+        if f"M113 S{BEAT_S}" not in self._messages("M113"):
             self.upsets += 1
             what = "the controller has restarted unnoticed: position lost"
             raise DeviceError(self.who, what, asked="M113", hint=HOME_AGAIN)
@@ -280,7 +281,7 @@ class MarlinDialogue(Dialogue):
 
     cancel_jog = brake
 
-    @whole
+    @atomic
     def abort(self) -> None:
         """Stop it by M410; M112 halts a board that homes or disobeys, until it is switched off."""
         self.upsets += 1
@@ -299,7 +300,7 @@ class MarlinDialogue(Dialogue):
             except (DeviceError, ProtocolError):
                 continue
 
-    @whole
+    @atomic
     def start(self) -> Welcome:
         """Wait for the board's start, if opening the port resets it, and for its attention."""
         self.upsets += 1
@@ -314,7 +315,7 @@ class MarlinDialogue(Dialogue):
                     raise
         return Welcome("", "Marlin")
 
-    @whole
+    @atomic
     def restart(self) -> Welcome:
         """Synchronise: Marlin has no restart over the wire, and a halted one has to be switched off
         and on. Raises LinkError, ProtocolError, DeviceError.
@@ -373,13 +374,13 @@ class MarlinDialogue(Dialogue):
                 what, asked = "the build doesn't know the command", self.outstanding
                 self._stale = True
                 raise DeviceError(self.who, what, asked=asked, seen=str(answer.code), hint=lacking)
-        elif isinstance(answer, Alarm) and self._told_last:
-            answer = Alarm(f"{answer.code} ({self._told_last})")
+        elif isinstance(answer, Alarm) and self._last_message:
+            answer = Alarm(f"{answer.code} ({self._last_message})")
         elif isinstance(answer, Message) and answer.text.startswith(_WAITS):
             self.upsets += 1
             self._stale = True
             what, hint = "the controller waits for somebody at its panel", "Press its button."
             raise DeviceError(self.who, what, asked=self.outstanding, seen=answer.text, hint=hint)
         elif isinstance(answer, Message) and not answer.text.startswith(("busy", "T:", "//")):
-            self._told_last = answer.text
+            self._last_message = answer.text
         return super()._judge(answer)

@@ -1,7 +1,7 @@
 """GRBL 1.1 on the wire, classic, grblHAL and FluidNC: lines to send, and bytes back to values.
 
-Total: what is malformed gives ``MalformedLine`` with the reason. Report fields are found by name,
-unknown ones kept as text. Source: the firmware's interface and command documents,
+Every line gives a value: a malformed one `MalformedLine` with the reason. Report fields are found
+by name, unknown ones kept as text. Source: the firmware's interface and command documents,
 version 1.1; alarm numbers from 10 on as in the sources of grblHAL and FluidNC.
 """
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from bench.cli.main import main
 from bench.files import sha256_of
 from bench.record.chain import add_link
-from bench.record.schema import DATABASE, LATER_WORD, SCHEMA_VERSION, tables_of
+from bench.record.schema import DATABASE, FACTS, SCHEMA_VERSION, tables_of
 from tests.bench import operated_runs
 
 # what the bench of today's schema wrote so: this process's copy of it, for a reader of a run leaves
@@ -74,7 +74,7 @@ def written_anew(run: Path) -> Path:
                     f"UPDATE {table} SET sha256 = ? WHERE rowid = ?", (sha256_of(run / file), rowid)
                 )
         db.execute("DELETE FROM chain")
-        tables = [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
+        tables = [table for table in tables_of(db) if table not in ("chain", FACTS)]
         last = {
             table: db.execute(f"SELECT max(rowid) FROM {table}").fetchone()[0] for table in tables
         }

@@ -120,14 +120,14 @@ class StageEmulator:
         """
         self._faults[fault] = after_s
         self._lost_mm = lost_mm if fault is StageFault.LOST_STEP else self._lost_mm
-        self._tell_switches()
+        self._set_switches()
         if fault in IN_MOTION and self._controller.moving:
             self._arm()
 
     def cure(self, fault: StageFault) -> None:
         """End a fault that lasts, or that hasn't struck yet."""
         self._faults.pop(fault, None)
-        self._tell_switches()
+        self._set_switches()
 
     def connect(self, connection: Connection) -> None:
         """A host opens the port, which resets most boards. The newest host has it."""
@@ -140,13 +140,13 @@ class StageEmulator:
         self._settle()
 
     def receive(self, connection: Connection, data: bytes) -> None:
-        """Bytes came, cut anywhere."""
+        """Take bytes from the host, cut anywhere."""
         if connection is self._connection:
             self._controller.take(data)
             self._settle()
 
     def disconnect(self, connection: Connection) -> None:
-        """The cable is out. What is planned still runs to its end."""
+        """The host has gone. What is planned still runs to its end."""
         if connection is self._connection:
             self._connection = None
 
@@ -188,7 +188,7 @@ class StageEmulator:
         else:
             self._later(late, lambda: self._send(text.encode("ascii") + b"\r\n"))
 
-    def _tell_switches(self) -> None:
+    def _set_switches(self) -> None:
         self._controller.broken_switches = dict(
             switch for fault, switch in BROKEN_SWITCHES.items() if fault in self._faults
         )

@@ -21,7 +21,7 @@ class EmulatedZaber(StageEmulator):
     def __init__(
         self, world: object, clock: Clock, devices: str, microsteps: str, axes: str = "XY"
     ) -> None:
-        del world  # it carries what stands on it, and looks at nothing
+        del world  # nothing of the world moves a stage
         numbers = [LETTERS.find(axis) + 1 for axis in axes]
         there = [str(number) for number in numbers]
         if [one.removesuffix(".1") for one in devices.split(",")] != there:

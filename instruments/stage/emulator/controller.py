@@ -48,10 +48,10 @@ class Controller(ABC):
         self.homed: set[int] = set()
 
     def drop(self) -> None:
-        """What is in the works and what waits is forgotten."""
+        """Drop the line under way and those that wait."""
         self._lines: deque[str] = deque()
         self._work: Work | None = None
-        self._due_s = math.inf  # when the line in the works wants to be asked again
+        self._due_s = math.inf  # when the line under way goes on
 
     @property
     def now(self) -> float:
@@ -82,7 +82,7 @@ class Controller(ABC):
         self.pump()
 
     def seen(self, text: str) -> None:  # noqa: B027 - most firmwares read their lines in order
-        """A whole line has come, whatever is in the works."""
+        """A whole line has come; those before it may not be done yet."""
 
     def pump(self) -> None:
         """Take lines until one has to wait, or there are none."""
@@ -103,7 +103,7 @@ class Controller(ABC):
 
     @property
     def ignores_input(self) -> bool:
-        """Whether lines have to wait, the one in the works too."""
+        """Whether lines have to wait, the one under way too."""
         return False
 
     def next_line(self) -> str | None:
@@ -111,7 +111,7 @@ class Controller(ABC):
 
     @abstractmethod
     def work(self, text: str) -> Work:
-        """Execute a line. Yields when it wants to go on; returns its answer, None if given."""
+        """Execute a line. Yields when it goes on; returns its answer, None where it was sent."""
 
     @abstractmethod
     def alarm(self, code: int, *, critical: bool = False) -> None:

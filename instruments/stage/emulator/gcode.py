@@ -1,6 +1,6 @@
 """Grbl 1.1h's G-code: a line to what is to be done, or to the number of its error.
 
-What it speaks: G0 to G3, G4, G10, G17 to G21, G28, G30 (and .1), G38.2 to G38.5, G40, G43.1, G49,
+Supported: G0 to G3, G4, G10, G17 to G21, G28, G30 (and .1), G38.2 to G38.5, G40, G43.1, G49,
 G53 to G59, G61, G80, G90, G91 (and .1), G92 (and .1), G93, G94, M0 to M5, M8, M9, M30, and the
 words A (of boards with four axes) F I J K L N P R S T X Y Z. The table is all of it: what isn't
 there is error 20. Spindle, coolant, tool and path do nothing here; arcs are run as chords. Sources:

@@ -46,7 +46,7 @@ _BUSY_OV_EVERY = 20
 
 
 class Mode(Enum):
-    """What the firmware is in, by its names at rest and while moving."""
+    """The firmware's states, each by its names at rest and while moving."""
 
     READY = "Idle", "Run"
     LOCKED = "Alarm", "Alarm"
@@ -58,9 +58,9 @@ class Mode(Enum):
     CHECK = "Check", "Check"
 
 
-DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
-# holds, resumes and overrides are ignored
-STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP, Mode.CHECK})
+LINES_WAIT = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})
+# holds, resumes and overrides
+CONTROLS_IGNORED = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP, Mode.CHECK})
 
 
 class GrblController(Controller):
@@ -71,7 +71,7 @@ class GrblController(Controller):
     ) -> None:
         self.gcode = GCode(AXES[: settings.axes], settings.dialect.most_line_number)
         self._startup, self._info = ["", ""], ""
-        self._afterwards: Callable[[], None] | None = None  # what comes behind a line's answer
+        self._afterwards: Callable[[], None] | None = None  # what is done after a line's answer
         super().__init__(clock, settings, carriage, answer)
 
     def power_up(self) -> None:
@@ -84,7 +84,7 @@ class GrblController(Controller):
         """What every soft reset ends in. The count stays; an alarm stays an alarm."""
         locked = self.mode in (Mode.LOCKED, Mode.CRITICAL, Mode.SLEEP)
         if self._work and not answered:
-            self.say("ok")  # the line that was in the works is answered on the way out
+            self.say("ok")  # a reset answers the line that is under way
         self.carriage.halt(self.now)
         self.carriage.follow(self.now).override(100, 100, self.now)
         self._clear()
@@ -197,7 +197,7 @@ class GrblController(Controller):
         elif byte == protocol.DOOR and self.mode is Mode.HOMING:
             self.alarm(7)
             self.restart()
-        elif self.mode not in STUBBORN:
+        elif self.mode not in CONTROLS_IGNORED:
             self._control(byte)
 
     def _control(self, byte: bytes) -> None:
@@ -305,7 +305,7 @@ class GrblController(Controller):
 
     @property
     def ignores_input(self) -> bool:
-        return self.mode in DEAF or self._restart_s < math.inf
+        return self.mode in LINES_WAIT or self._restart_s < math.inf
 
     def work(self, text: str) -> Work:
         try:

@@ -2,7 +2,7 @@
 apart from the driver.
 
 Lines are answered with ``ok`` in order. M410 and M112 act when their line has come, and M410 is
-then answered in its turn. Targets beyond the soft endstops are clipped without a word. Marked as
+then answered in its turn. Targets beyond the soft endstops are clipped without a message. Marked as
 inferred in the tests' script: how often it says that it is busy.
 """
 
@@ -141,7 +141,7 @@ class MarlinController(Controller):
         yield from self.plan(target, self._feed_mm_min / 60)
 
     def _busy(self, work: Iterator[float]) -> Iterator[float]:
-        """``work``, with a word that it goes on every few seconds."""
+        """``work``, with a message every few seconds that it goes on."""
         every_s = self._keepalive_s or math.inf  # 0 is off
         say_s = self.now + every_s
         for due_s in work:

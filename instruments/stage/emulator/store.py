@@ -88,9 +88,9 @@ DEFAULTS: dict[int, float] = {
     130: 300, 131: 275, 132: 50,
 }  # fmt: skip
 HAL_DEFAULTS: dict[int, float] = {40: 0, 43: 1, 44: 4, 45: 3, 46: 0}
-# per degree; homed in a pass of its own
 # homed towards the low ends, an axis after the other
 LOW_END_DEFAULTS: dict[int, float] = {23: 15, 44: 1, 45: 2, 46: 4, 47: 8}
+# per degree; homed in a pass of its own
 ROTARY_DEFAULTS: dict[int, float] = {46: 8, 103: 100, 113: 3600, 123: 360, 133: 360}
 _WITH_DECIMALS = frozenset({11, 12, 24, 25, 27, *range(100, 140)})
 _FLAGS = frozenset({4, 5, 6, 13, 20, 21, 22, 32})

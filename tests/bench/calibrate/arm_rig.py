@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from io import StringIO
 
 from bench.calibrate.arm import ArmSession
-from bench.calibrate.simulated_arm import PLACED, Step, TryingArm
+from bench.calibrate.simulated_arm import PLACED, SimulatedArm, Step
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.link import Link
@@ -22,7 +22,10 @@ class Follower(ArmSession):
     """With a person who does each step, or ``instead`` another one, and remembers it."""
 
     def __init__(
-        self, arm: MicroScribe, hand: TryingArm, instead: Callable[[Step], Step] = lambda step: step
+        self,
+        arm: MicroScribe,
+        hand: SimulatedArm,
+        instead: Callable[[Step], Step] = lambda step: step,
     ) -> None:
         console = Console(StringIO(), StringIO(), hand.clock)
         super().__init__(arm, hand.clock, console, hand)
@@ -44,16 +47,16 @@ class Follower(ArmSession):
 @contextmanager
 def emulated(
     seed: int = 0, accuracy_mm: float = 0.23, placed: Motion = PLACED, length_mm: float = 300.0
-) -> Iterator[tuple[MicroScribe, TryingArm]]:
+) -> Iterator[tuple[MicroScribe, SimulatedArm]]:
     """A signed-on, homed emulated arm under virtual time, and what brings its tip to places."""
     clock = VirtualClock()
-    with TryingArm(
+    with SimulatedArm(
         clock, seed=seed, accuracy_mm=accuracy_mm, placed=placed, length_mm=length_mm
-    ) as trying:
-        arm = MicroScribe(Link(trying.url, clock, who="arm"), clock)
+    ) as simulated:
+        arm = MicroScribe(Link(simulated.url, clock, who="arm"), clock)
         try:
             arm.sign_on()
             arm.confirm_homed()
-            yield arm, trying
+            yield arm, simulated
         finally:
             arm.close()

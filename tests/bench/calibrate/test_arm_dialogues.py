@@ -128,7 +128,7 @@ def test_the_registration_uncertainty_is_the_spread_over_many_frames() -> None:
 
 def test_points_too_near_are_asked_for_again() -> None:
     """The second and third touch are asked for once more, and the frame is right then."""
-    with emulated() as (arm, trying):
+    with emulated() as (arm, simulated):
         slips = iter([True])
 
         def instead(step: Step) -> Step:
@@ -138,7 +138,7 @@ def test_points_too_near_are_asked_for_again() -> None:
                 else step
             )
 
-        person = Follower(arm, trying, instead)
+        person = Follower(arm, simulated, instead)
         frame = touch_frame(person, [], MADE)
     assert [step.what for step in person.steps] == ["origin", "x axis", "plane", "x axis", "plane"]
     assert any("from the origin; 100 mm are needed" in text for text in person.said)
@@ -146,7 +146,7 @@ def test_points_too_near_are_asked_for_again() -> None:
 
 
 def test_a_moving_arm_is_read_again() -> None:
-    with emulated() as (arm, trying):
+    with emulated() as (arm, simulated):
         moves = iter([True])
         read = arm.read
 
@@ -154,14 +154,14 @@ def test_a_moving_arm_is_read_again() -> None:
             return read(n, max_spread_mm=1e-6 if next(moves, False) else max_spread_mm)
 
         arm.read = unsteady  # type: ignore[method-assign, assignment]
-        person = Follower(arm, trying)
+        person = Follower(arm, simulated)
         touch_frame(person, [], MADE)
     assert [step.what for step in person.steps] == ["origin", "origin", "x axis", "plane"]
     assert any("the arm moves" in text for text in person.said)
 
 
 def test_a_frame_that_turned_over_is_asked_about() -> None:
-    with emulated() as (arm, trying):
+    with emulated() as (arm, simulated):
 
         def instead(step: Step) -> Step:
             return (
@@ -170,7 +170,7 @@ def test_a_frame_that_turned_over_is_asked_about() -> None:
                 else step
             )
 
-        person = Follower(arm, trying, instead)
+        person = Follower(arm, simulated, instead)
         frame = touch_frame(person, [], MADE)
     assert frame.hangs
     assert any("upside down" in text for text in person.said)
@@ -260,8 +260,8 @@ def test_the_least_sphere_is_that_of_an_optimiser(points: list[tuple[float, floa
 
 @pytest.mark.slow
 def test_what_is_asked_for_is_what_was_planned() -> None:
-    with emulated() as (arm, trying):
-        person = Follower(arm, trying)
+    with emulated() as (arm, simulated):
+        person = Follower(arm, simulated)
         found = verify(person, VerificationPlan(2, 5, 300.0, 3), MADE)
     assert [test.where for test in found.locations] == ["near", "far"]
     assert [test.n for test in found.locations] == [5, 5]
@@ -279,8 +279,8 @@ def test_what_is_asked_for_is_what_was_planned() -> None:
 
 @pytest.mark.slow
 def test_a_ball_bar_is_measured_between_the_centres_of_its_spheres() -> None:
-    with emulated(length_mm=302.0) as (arm, trying):
-        person = Follower(arm, trying)
+    with emulated(length_mm=302.0) as (arm, simulated):
+        person = Follower(arm, simulated)
         plan = VerificationPlan(1, 5, 300.0, 2, spheres=True)
         found = verify(person, plan, MADE)
     assert len(person.steps) == 5 + 2 * 2 * len(ROUND)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.calibrate.simulated_arm import PLACED, Step, TryingArm
+from bench.calibrate.simulated_arm import PLACED, SimulatedArm, Step
 from bench.rig.arm_files import load_frame, load_verification
 from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
@@ -126,7 +126,7 @@ def test_what_was_touched_is_printed_where_its_file_cannot_be_written_any_more(
 
 def test_a_bad_arm_is_not_verified(tmp_path: Path, monkeypatch: Patch, said: Said) -> None:
     out = tmp_path / "verification.toml"
-    monkeypatch.setattr("bench.calibrate.arm.TryingArm", partial(TryingArm, accuracy_mm=3.0))
+    monkeypatch.setattr("bench.calibrate.arm.SimulatedArm", partial(SimulatedArm, accuracy_mm=3.0))
     Person(monkeypatch, "Fix the divot", *["tip in the divot"] * 5)
     why = said(1, f"arm verify {OWN} --homed --distances 1 --touches 5", out).err
     assert "not verified: middle: readings of one point lie up to" in why
@@ -148,10 +148,10 @@ def test_an_arm_without_a_calibrated_length_is_not_refuted_and_not_verified(
 def test_a_frame_whose_check_point_is_off_is_not_written(
     tmp_path: Path, monkeypatch: Patch, said: Said, limit: str
 ) -> None:
-    out, go = tmp_path / "frame.toml", TryingArm.go
+    out, go = tmp_path / "frame.toml", SimulatedArm.go
     above = Step("check", 0, "", (120.0, 90.0, 6.0))
     monkeypatch.setattr(
-        TryingArm, "go", lambda arm, step: go(arm, above if step.what == "check" else step)
+        SimulatedArm, "go", lambda arm, step: go(arm, above if step.what == "check" else step)
     )
     Person(monkeypatch, "origin", "x axis", "plane", "Check point")
     why = said(0 if limit else 1, f"arm frame {OWN} --homed {limit}", out).err
@@ -162,11 +162,11 @@ def test_a_frame_whose_check_point_is_off_is_not_written(
 
 
 def test_watch_shows_tip_pedals_and_rate_live_until_ctrl_c(monkeypatch: Patch) -> None:
-    with closing(RealClock()) as clock, TryingArm(clock) as trying:
+    with closing(RealClock()) as clock, SimulatedArm(clock) as simulated:
         acts = {
-            "left up, right up": lambda: setattr(trying.emulator, "buttons", 1),
-            "left up, right DOWN": lambda: setattr(trying.emulator, "buttons", 2),
-            "left DOWN, right up": lambda: trying.go(Step("origin", 0, "")),
+            "left up, right up": lambda: setattr(simulated.emulator, "buttons", 1),
+            "left up, right DOWN": lambda: setattr(simulated.emulator, "buttons", 2),
+            "left DOWN, right up": lambda: simulated.go(Step("origin", 0, "")),
         }
         there = PLACED.inverse().apply([0.0, 0.0, 0.0])
         tips: list[tuple[float, ...]] = []
@@ -184,7 +184,7 @@ def test_watch_shows_tip_pedals_and_rate_live_until_ctrl_c(monkeypatch: Patch) -
 
         person = Watching(monkeypatch)
         # the command waits for a processor, never for the arm
-        assert teatbench("arm watch --homed --answer-s 60 --port {}", trying.url) == 0
+        assert teatbench("arm watch --homed --answer-s 60 --port {}", simulated.url) == 0
     assert not acts
     assert math.dist(tips[0], (54.2, -51.8, 212.2)) < 0.1
     assert person.text.count("\rtip") == len(tips) - 1, "one line, written over"

@@ -122,7 +122,7 @@ def test_where_nothing_tells_the_unit_a_person_compares_with_the_display(said: S
     with served(lambda clock: LineEmulator(plant, profile, clock)) as (_, url):
         at = ["--port", url.replace("socket", "tcp"), "--profile", "lauda-ascii"]
         note = json.loads(said(0, "bath read {} --json", at).out)
-        assert note["number_unit"] == "not told by the controller"
+        assert note["number_unit"] == "not stated by the controller"
         refused = said(2, "bath set {} 33", at).err
         assert "nothing tells whether its numbers are degC" in refused
         assert "they are not both degC" in said(3, "bath set {} 33 --display 77", at).err

@@ -151,7 +151,7 @@ def test_one_that_does_not_answer_is_ended(hot: HotBath, baths: Path) -> None:
 def test_one_whose_bench_lives_keeps_the_bath(hot: HotBath, baths: Path) -> None:
     with of_bench(hot, os.getpid()) as old:
         assert old.stdin is not None
-        wanted = r"another guardian has it.*for a bench that lives"
+        wanted = r"another guardian has it.*for a bench that still runs"
         with beating(old), pytest.raises(LinkError, match=wanted):
             next_of(hot)
         assert old.poll() is None
@@ -171,7 +171,7 @@ def test_a_guardian_that_was_killed_keeps_no_bath_and_is_named(hot: HotBath, bat
     assert len(list(baths.glob("*.json"))) == 1, "its note is still there"
     with next_of(hot) as line:
         named = f"the guardian of {hot.folder / 'guardian-1.json'} (process {old.pid})"
-        assert line.taken_from == f"{named} ended without a last word", "the bath may be on"
+        assert line.taken_from == f"{named} ended before handing over", "the bath may be on"
         line.done()
     with next_of(hot) as line:
         assert line.taken_from == ""
@@ -193,7 +193,7 @@ def test_the_note_of_a_killed_guardian_is_not_told_of_a_new_emulator(
         url = twin.urls["bath"]
         port = int(url.rpartition(":")[2])
         assert told() == ""
-        assert told().endswith("ended without a last word")
+        assert told().endswith("ended before handing over")
     kept = BathLock(url, tmp_path / "guardian-3.json", ENDED)
     kept.take()
     forget_guardian(url)

@@ -17,7 +17,7 @@ import pytest
 from filelock import FileLock
 
 from bench.config import ConfigError
-from bench.record.state import holder_of, lives, this_process
+from bench.record.state import holder_of, still_runs, this_process
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.lock import RigInUseError, lock_path, locked
 from tests.bench.commands import Said
@@ -72,13 +72,13 @@ def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_reported(
 
 def test_who_has_ended_or_has_a_dead_bench_s_number_is_no_bench_that_lives() -> None:
     me = this_process()
-    assert lives(me)
-    assert not lives(me | {"created": me["created"] - 3600.0}), "its number is another's now"
-    assert not lives({"host": me["host"], "run": "what it wrote can't be read"})
+    assert still_runs(me)
+    assert not still_runs(me | {"created": me["created"] - 3600.0}), "its number is another's now"
+    assert not still_runs({"host": me["host"], "run": "what it wrote can't be read"})
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
-        assert lives({"pid": child.pid})
+        assert still_runs({"pid": child.pid})
         child.kill()
-        within(lambda: not lives({"pid": child.pid}), "it has ended, unwaited for")
+        within(lambda: not still_runs({"pid": child.pid}), "it has ended, unwaited for")
 
 
 def test_a_lock_of_another_machine_is_believed(tmp_path: Path) -> None:

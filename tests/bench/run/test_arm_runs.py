@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench.calibrate.arm import VerificationPlan, touch_frame, verify
-from bench.calibrate.simulated_arm import Step, TryingArm
+from bench.calibrate.simulated_arm import SimulatedArm, Step
 from bench.config import write_file
 from bench.record.reader import RunRecord, read_run
 from bench.results.stated_arm import unmoved_mm
@@ -186,7 +186,7 @@ def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
 class Checker:
     """Touches one place of an emulated arm's world, swung another way each time."""
 
-    def __init__(self, trying: TryingArm) -> None:
+    def __init__(self, trying: SimulatedArm) -> None:
         self._trying = trying
 
     def ask(self, request: Request) -> None:
@@ -195,7 +195,7 @@ class Checker:
 
 
 def checked(
-    spoil: Callable[[TryingArm], None], before: dict[str, Any] | None = None
+    spoil: Callable[[SimulatedArm], None], before: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     settings = Arm(url="emulator:", check_point_mm=(330.0, 0.0, 20.0))
     near_mm = unmoved_mm([], settings)
@@ -212,7 +212,7 @@ def checked(
 def test_an_arm_that_was_not_homed_is_found_out() -> None:
     """Switched on with the stylus off its peg, and a person who says that it was on."""
 
-    def off_its_peg(trying: TryingArm) -> None:
+    def off_its_peg(trying: SimulatedArm) -> None:
         trying.go(Step("near", 0, ""))
         trying.emulator.power_cycle()
 

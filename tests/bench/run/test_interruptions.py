@@ -637,7 +637,7 @@ def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(
     cameras = CameraSet(dict.fromkeys(CAN_GIVE, opened), {})
     ctx: Any = SimpleNamespace(
         heartbeat=heartbeat,
-        devices=SimpleNamespace(cameras=cameras, heard={}),
+        devices=SimpleNamespace(cameras=cameras, answered_s={}),
         clock=VirtualClock(5.0),
         events=SimpleNamespace(state=print),
         rig=SimpleNamespace(rig=SimpleNamespace(limits=SimpleNamespace(away_s=600.0))),
@@ -646,4 +646,4 @@ def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(
     ctx.long = partial(RunContext.long, ctx)
     look_s = len(CAN_GIVE) * (CLOSE_S + OPEN_S + LONGEST_WAIT_S)
     Recovery(ctx, lambda: hang(look_s))._attempt("cameras")
-    assert ctx.devices.heard == {"cameras": 5.0}
+    assert ctx.devices.answered_s == {"cameras": 5.0}

@@ -8,7 +8,8 @@ import html
 import io
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -110,6 +111,10 @@ class Watch(Bringer):
         back_s = BACK_S[self.instrument] if self.way == "returning" else float("inf")
         return self.dead_s + AFTER_S <= self.now_s < self.dead_s + back_s
 
+    def wants(self, status: RunStatus) -> bool:
+        """Whether this status is written down for other programs."""
+        return True
+
     def looks(self, folder: Path, status: RunStatus) -> None:
         """`published`; the bench lets no error of a viewer through, so they are kept."""
         try:
@@ -193,34 +198,36 @@ def killed(folder: Path, instrument: str, way: str, at: str) -> tuple[Watch, Pat
     script = SCRIPT.replace("window_s = 2.0", "window_s = 20.0").replace(", {}]", "]")
     more = f"prompt_s = 2.0\n{LIMITS}"
     files(folder, stage=STAGE, check_point=CHECK_POINT, emulation=more, script=script)
-    watch, write = Watch(instrument, way, at), Live.write
+    watch = Watch(instrument, way, at)
+    with seen(watch) as progress:
+        run, _ = start(folder, progress=progress, how=RunOptions(typed=watch.typed))
+    return watch, run
+
+
+@contextmanager
+def seen(watch: Watch) -> Iterator[Events]:
+    """All that a run publishes, sends and reports is known to ``watch``."""
+    write, progress = Live.write, Events(watch)
 
     def published(live: Live, status: RunStatus, more: Mapping[str, Any]) -> None:
-        write(live, status, more)
+        if watch.wants(status):
+            write(live, status, more)
         if not live.ended:
             watch.looks(live._folder.parent, status)
 
-    def sent(connection: Connection, data: bytes) -> None:
-        watch.sent(connection, data)
+    def reported(kind: str, text: str) -> None:
+        Events.event(progress, kind, text)
+        watch.event(kind, text)
 
     with (
         known_to(watch),
         patch.object(Live, "due", True),
         patch.object(Live, "write", published),
-        patch.object(Connection, "send", sent),
+        patch.object(Connection, "send", lambda *sent: watch.sent(*sent)),
+        patch.object(progress, "event", reported),
     ):
-        progress = Events(watch)
-        with patch.object(
-            progress, "event", lambda kind, text: watched(progress, watch, kind, text)
-        ):
-            run, _ = start(folder, progress=progress, how=RunOptions(typed=watch.typed))
+        yield progress
     watch.check()
-    return watch, run
-
-
-def watched(progress: Events, watch: Watch, kind: str, text: str) -> None:
-    Events.event(progress, kind, text)
-    watch.event(kind, text)
 
 
 CELLS = list(product(INSTRUMENTS, WAYS, STATES))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,14 +30,11 @@ from bench.rig.loading import load_rig
 from bench.rig.model import Rig
 from bench.run import start as run_start
 from bench.run.events import Events, read_events
-from bench.run.live import Live
 from bench.run.start import RunOptions, resume_run, run_queue
 from bench.safety.bath_monitor import PERIOD_S
 from bench.script.model import LoadedScript, load_script
-from instruments.listener import Connection
 from instruments.operators.emulated import EmulatedOperator
 from instruments.operators.operator import KIND_OF, Answer, Request
-from tests.bench.fault_catalogue import known_to
 from tests.bench.killed_runs import Person
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
 from tests.bench.run.test_kills import (
@@ -47,7 +44,7 @@ from tests.bench.run.test_kills import (
     Watch,
     compare_the_surfaces,
     same,
-    watched,
+    seen,
 )
 
 ASK = EmulatedOperator.ask
@@ -72,6 +69,11 @@ class Moment(Watch):
     next_s: float = 0.0
     links: tuple[Link, ...] = ()
     asked: bool = False
+    is_open: bool = False  # the rig, as the first status says
+
+    def wants(self, status: RunStatus) -> bool:
+        self.is_open = True
+        return self.lost or self.compares(status)
 
     def published(self, folder: Path, status: RunStatus) -> None:
         if self.lost:
@@ -148,36 +150,14 @@ def lost(status: RunStatus, name: str) -> bool:
 
 
 @contextmanager
-def seen(watch: Moment) -> Iterator[Events]:
-    """What happens in a run is known to ``watch``, in virtual time, to a person all the same."""
-    asked_by_person: list[bool] = []
-    write = Live.write
-
-    def published(live: Live, status: RunStatus, more: Mapping[str, Any]) -> None:
-        asked_by_person[:] = [True]  # it is open
-        if watch.lost or watch.compares(status):
-            write(live, status, more)
-        if not live.ended:
-            watch.looks(live._folder.parent, status)
-
-    def sent(connection: Connection, data: bytes) -> None:
-        watch.sent(connection, data)
-
-    def takes_long(operator: EmulatedOperator, *asked: Any) -> Answer:
-        return watch.takes_long(operator, *asked)
-
-    progress = Events(watch)
+def seen_by_a_person(watch: Moment) -> Iterator[Events]:
+    """As `seen`, and once the rig is open a person answers, in virtual time all the same."""
     with (
-        known_to(watch),
-        patch.object(Live, "due", True),
-        patch.object(Live, "write", published),
-        patch.object(Connection, "send", sent),
-        patch.object(EmulatedOperator, "ask", takes_long),
-        patch.object(Rig, "by_person", property(lambda _: bool(asked_by_person))),
-        patch.object(progress, "event", lambda kind, text: watched(progress, watch, kind, text)),
+        seen(watch) as progress,
+        patch.object(EmulatedOperator, "ask", lambda *asked: watch.takes_long(*asked)),
+        patch.object(Rig, "by_person", property(lambda _: watch.is_open)),
     ):
         yield progress
-    watch.check()
 
 
 def short(folder: Path, names: Sequence[str] = ("script",)) -> list[LoadedScript]:
@@ -192,7 +172,11 @@ def short(folder: Path, names: Sequence[str] = ("script",)) -> list[LoadedScript
 def began(folder: Path, watch: Person, names: Sequence[str] = ("script",)) -> list[Path]:
     scripts, rig = short(folder, names), load_rig(folder / "rig.toml")
     how = RunOptions(typed=watch.typed)
-    with seen(watch) if isinstance(watch, Moment) else nullcontext(Events(watch)) as progress:
+    with (
+        seen_by_a_person(watch)
+        if isinstance(watch, Moment)
+        else nullcontext(Events(watch)) as progress
+    ):
         return [run for run, _ in run_queue(rig, scripts, folder / "runs", progress, how)]
 
 
@@ -260,7 +244,7 @@ def test_an_instrument_is_lost_as_a_resumed_run_is_set_up(instrument: str, tmp_p
     (run,) = began(tmp_path, stopped)
     assert read_status(run).state == "aborted"
     watch = Moment(instrument, "killed", "preparing")
-    with seen(watch) as progress:
+    with seen_by_a_person(watch) as progress:
         resume_run(run, progress, RunOptions(typed=watch.typed))
     status = read_status(run)
     assert watch.compared

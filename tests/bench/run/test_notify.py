@@ -75,7 +75,7 @@ def pool() -> None:
     """apprise keeps a thread for its look-ups: it is there before a test counts threads."""
     with phone() as (url, _):
         notifier = Notifier([url], pytest.fail)
-        notifier.word(ENDED, lambda: ("", "."))
+        notifier.send(ENDED, lambda: ("", "."))
         notifier.close()
 
 
@@ -112,15 +112,15 @@ def test_one_of_a_kind_at_a_time_and_a_dead_address_is_said_once() -> None:
     warned: list[str] = []
     with phone() as (url, came):
         notifier = Notifier([NOWHERE, url], warned.append, every_s=0.5)
-        notifier.word(PROMPTED, lambda: ("asked", "first"))
+        notifier.send(PROMPTED, lambda: ("asked", "first"))
         assert came.get(timeout=SOON_S)["message"] == "first"
         for text in ("second", "third"):  # one takes the other's place
-            notifier.word(PROMPTED, lambda text=text: ("asked", text))  # type: ignore[misc]
-        notifier.word(TRIPPED, lambda: ("tripped", "at once"))
+            notifier.send(PROMPTED, lambda text=text: ("asked", text))  # type: ignore[misc]
+        notifier.send(TRIPPED, lambda: ("tripped", "at once"))
         assert [came.get(timeout=SOON_S)["message"] for _ in range(2)] == ["at once", "third"]
-        notifier.word(PROMPTED, lambda: None)  # answered meanwhile
-        notifier.word(NOT_SAFE, lambda: 1 / 0)  # type: ignore[return-value,arg-type]
-        notifier.word(ENDED, lambda: ("ended", "last"))
+        notifier.send(PROMPTED, lambda: None)  # answered meanwhile
+        notifier.send(NOT_SAFE, lambda: 1 / 0)  # type: ignore[return-value,arg-type]
+        notifier.send(ENDED, lambda: ("ended", "last"))
         notifier.close()
         assert came.get(timeout=SOON_S)["message"] == "last"
         assert came.empty()
@@ -133,9 +133,9 @@ def test_a_prompt_that_was_answered_at_once_delays_no_other_s_word() -> None:
     looked = threading.Event()
     with phone() as (url, came):
         notifier = Notifier([url], pytest.fail)
-        notifier.word(PROMPTED, lambda: looked.set())
+        notifier.send(PROMPTED, lambda: looked.set())
         assert looked.wait(SOON_S)
-        notifier.word(PROMPTED, lambda: ("asked", "touch"))
+        notifier.send(PROMPTED, lambda: ("asked", "touch"))
         assert came.get(timeout=SOON_S)["message"] == "touch"
         notifier.close()
 
@@ -153,7 +153,7 @@ def test_an_address_that_never_ends_its_answer_is_left_to_who_ends_the_command()
         serving = threading.Thread(target=server.handle_request)
         serving.start()
         notifier = Notifier([f"json://127.0.0.1:{server.server_port}"], lambda _: None)
-        notifier.word(ENDED, lambda: ("ended", "last"))
+        notifier.send(ENDED, lambda: ("ended", "last"))
         assert asked.wait(SOON_S)
         at_work = {
             thread

@@ -6,16 +6,24 @@ from __future__ import annotations
 
 import struct
 import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator, Framing, Server
-from instruments.bath.profile import RegisterProfile, load_profile, profile_names
+from instruments.bath.profile import (
+    LineProfile,
+    Profile,
+    RegisterProfile,
+    load_profile,
+    profile_names,
+)
 from instruments.bath.protocol import framed
 from instruments.clock import Clock, VirtualClock
-from instruments.listener import Connection, Listener
+from instruments.listener import Connection, Device, Listener
 from instruments.world.plant import Plant, PlantConstants
 
 EUROTHERMS = ["eurotherm-2400", "eurotherm-3200"]
@@ -42,6 +50,38 @@ def calm_plant() -> Plant:
 
 def url_of(device: Server, listener: Listener) -> str:
     return f"{'tcp' if device.framing == 'tcp' else 'rtu+tcp'}://127.0.0.1:{listener.port}"
+
+
+class LineDevice:
+    """What is asked by lines that end with ``end``; `take` gets each without that."""
+
+    end = b"\r"
+    _rest = b""
+
+    def connect(self, connection: Connection) -> None:
+        self._rest = b""
+
+    def disconnect(self, connection: Connection) -> None: ...
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        *lines, self._rest = (self._rest + data).split(self.end)
+        for line in lines:
+            self.take(connection, line)
+
+    def take(self, connection: Connection, line: bytes) -> None:
+        raise NotImplementedError
+
+
+@contextmanager
+def driven(
+    device: Device, profile: Profile, clock: Clock, *, query: str = "", **options: Any
+) -> Iterator[Bath]:
+    """A driver on ``device`` (lines, or Modbus RTU) at a port of loopback; options of `Bath`."""
+    scheme = "tcp" if isinstance(profile, LineProfile) else "rtu+tcp"
+    with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
+        url = f"{scheme}://127.0.0.1:{listener.port}{query}"
+        with closing(Bath(url, profile, clock, **options)) as bath:
+            yield bath
 
 
 class Sink:

@@ -3,9 +3,7 @@ and what is not written before it is known."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from contextlib import closing
 from typing import Any
 
 import pytest
@@ -16,11 +14,11 @@ from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, load_profile, profile_names
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LimitError, ProtocolError
-from instruments.listener import Listener
 from tests.instruments.bath.devices import (
     REGISTER_FAMILIES,
     Stand,
     calm_plant,
+    driven,
     load_register_profile,
 )
 from tests.instruments.bath.far_end import bath_on, shown_by
@@ -152,12 +150,10 @@ def test_polyscience_with_run_and_stand_by(identify: bool) -> None:
     replies = POLYSCIENCE | {"RO": "?", "RW": "1", "RJ": "?"}
     typed = Typed(VirtualClock(), replies, reply_end=b"\r", acts=act)
     profile = load_profile("polyscience")
-    with closing(Listener(typed, typed.clock, lock=threading.RLock(), name="bath")) as listener:
-        url = f"tcp://127.0.0.1:{listener.port}"
-        with closing(Bath(url, profile, typed.clock, identify=identify)) as bath:
-            if identify:
-                assert bath.read().running is True
-            bath.safe()
+    with driven(typed, profile, typed.clock, identify=identify) as bath:
+        if identify:
+            assert bath.read().running is True
+        bath.safe()
     assert typed.replies["RW"] == "0"
     assert typed.told == (["SW0"] if identify else ["SO0", "SW0"])
 

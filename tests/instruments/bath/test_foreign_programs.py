@@ -27,7 +27,12 @@ from instruments.clock import RealClock
 from instruments.errors import DeviceError
 from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant
-from tests.instruments.bath.devices import calm_plant, load_register_profile
+from tests.instruments.bath.devices import (
+    LineDevice,
+    calm_plant,
+    driven,
+    load_register_profile,
+)
 from tests.instruments.bath.peers import foreign, real_time
 from tests.waiting import PATIENCE_S
 
@@ -199,24 +204,15 @@ def test_the_driver_on_pymodbustcps_server() -> None:
         server.stop()
 
 
-class Simulated:
+class Simulated(LineDevice):
     """What julabo.simulator answers, behind a port of ours."""
 
     def __init__(self, device: Any) -> None:
         self.device = device
-        self._rest = b""
 
-    def connect(self, connection: Connection) -> None:
-        self._rest = b""
-
-    def disconnect(self, connection: Connection) -> None:
-        pass
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        *lines, self._rest = (self._rest + data).split(b"\r")
-        for line in lines:
-            if answer := self.device.handle_message(line):
-                connection.send(answer)
+    def take(self, connection: Connection, line: bytes) -> None:
+        if answer := self.device.handle_message(line):
+            connection.send(answer)
 
 
 def test_the_driver_on_julabos_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,10 +232,7 @@ def test_the_driver_on_julabos_simulator(monkeypatch: pytest.MonkeyPatch) -> Non
     device = simulator.JulaboCF("bath")
     with (
         closing(RealClock()) as clock,
-        closing(
-            Listener(Simulated(device), clock, lock=threading.RLock(), name="simulator")
-        ) as listener,
-        closing(Bath(f"tcp://127.0.0.1:{listener.port}", patient("julabo-ascii"), clock)) as on,
+        driven(Simulated(device), patient("julabo-ascii"), clock) as on,
     ):
         reading = on.read()
         assert (reading.temp_c, reading.set_point_c, reading.safety_c) == (29.45, 30.0, 29.69)

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import re
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -24,9 +23,9 @@ from instruments.bath.profile import LineProfile, Profile, load_profile, profile
 from instruments.clock import Clock, VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LinkError
-from instruments.listener import Connection, Listener
+from instruments.listener import Connection
 from tests.examples import examples
-from tests.instruments.bath.devices import calm_plant
+from tests.instruments.bath.devices import LineDevice, calm_plant, driven
 
 JULABO = "julabo-ascii"
 LINE_FAMILIES = [name for name in profile_names() if isinstance(load_profile(name), LineProfile)]
@@ -43,7 +42,7 @@ class Fault:
 
 
 @dataclass
-class Typed:
+class Typed(LineDevice):
     """A controller whose replies are typed by hand: command to reply, both without their ends. It
     answers in order; each reply takes the next of ``faults``. A write is kept in ``told``.
     """
@@ -57,24 +56,16 @@ class Typed:
     faults: list[Fault] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
     acts: Callable[[Typed, str], None] = lambda *_: None
-    _rest: bytes = b""
     _free_s: float = 0.0
 
-    def connect(self, connection: Connection) -> None:
-        self._rest = b""
-
-    def disconnect(self, connection: Connection) -> None:
-        pass
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        *commands, self._rest = (self._rest + data).split(self.end)
-        for command in (one.decode("ascii") for one in commands):
-            if command not in self.replies:
-                self.told.append(command)
-                self.acts(self, command)
-            reply = self.replies.get(command, self.confirm)
-            if reply:
-                self._send(connection, reply.encode("ascii") + self.reply_end)
+    def take(self, connection: Connection, line: bytes) -> None:
+        command = line.decode("ascii")
+        if command not in self.replies:
+            self.told.append(command)
+            self.acts(self, command)
+        reply = self.replies.get(command, self.confirm)
+        if reply:
+            self._send(connection, reply.encode("ascii") + self.reply_end)
 
     def _send(self, connection: Connection, line: bytes) -> None:
         fault = self.faults.pop(0) if self.faults else Fault()
@@ -98,12 +89,7 @@ class Typed:
 def served(typed: Typed, profile: str | Profile = JULABO) -> Iterator[tuple[Typed, Bath]]:
     """A driver on it, under its clock."""
     family = load_profile(profile) if isinstance(profile, str) else profile
-    with (
-        closing(Listener(typed, typed.clock, lock=threading.RLock(), name="bath")) as listener,
-        closing(
-            Bath(f"tcp://127.0.0.1:{listener.port}", family, typed.clock, unit_confirmed=True)
-        ) as bath,
-    ):
+    with driven(typed, family, typed.clock, unit_confirmed=True) as bath:
         yield typed, bath
 
 
@@ -425,12 +411,7 @@ def emulated(
     profile, clock = load_profile(name), VirtualClock()
     assert isinstance(profile, LineProfile)
     device = LineEmulator(calm_plant(), profile, clock)
-    with (
-        closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
-        closing(
-            Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock, unit_confirmed=confirmed)
-        ) as bath,
-    ):
+    with driven(device, profile, clock, unit_confirmed=confirmed) as bath:
         if fault:
             device.fault(fault)
         yield device, bath

@@ -5,9 +5,8 @@ sums by name, the part of a version that counts, and controllers without a regis
 from __future__ import annotations
 
 import re
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, get_args
 
@@ -33,8 +32,8 @@ from instruments.bath.rows import FIELDS, Kind, LineRow, Order, Row, Strict, Tab
 from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import InstrumentError, LimitError, LinkError
-from instruments.listener import Connection, Listener
-from tests.instruments.bath.devices import calm_plant
+from instruments.listener import Connection
+from tests.instruments.bath.devices import LineDevice, calm_plant, driven
 
 FIXED, SCALED, BYTES = (
     (Path(__file__).parent / "own" / f"{name}.toml").read_text(encoding="utf-8")
@@ -42,27 +41,18 @@ FIXED, SCALED, BYTES = (
 )
 
 
-class Device:
+class Device(LineDevice):
     """A controller at 20 degC of one of these protocols: ``said`` answers a line without its ends."""
 
     def __init__(self, said: Callable[[str], str | None], end: bytes = b"\r") -> None:
         self.said = said
         self.end = end
         self.told: list[str] = []
-        self._rest = b""
 
-    def connect(self, connection: Connection) -> None:
-        self._rest = b""
-
-    def disconnect(self, connection: Connection) -> None:
-        pass
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        *lines, self._rest = (self._rest + data).split(self.end)
-        for line in lines:
-            self.told.append(line.decode("ascii"))
-            if (answer := self.said(self.told[-1])) is not None:
-                connection.send(answer.encode("ascii") + b"\r")
+    def take(self, connection: Connection, line: bytes) -> None:
+        self.told.append(line.decode("ascii"))
+        if (answer := self.said(self.told[-1])) is not None:
+            connection.send(answer.encode("ascii") + b"\r")
 
 
 def fixed_device() -> Device:
@@ -150,15 +140,9 @@ def profile_of(folder: Path, text: str) -> LineProfile:
     return profile
 
 
-@contextmanager
-def bath_on(device: Device, profile: LineProfile) -> Iterator[Bath]:
+def bath_on(device: Device, profile: LineProfile) -> AbstractContextManager[Bath]:
     """A driver on a device under virtual time."""
-    clock = VirtualClock()
-    with (
-        closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
-        closing(Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)) as bath,
-    ):
-        yield bath
+    return driven(device, profile, VirtualClock())
 
 
 def test_numbers_of_fixed_width_a_relay_and_a_version_that_counts_hours(tmp_path: Path) -> None:

@@ -21,9 +21,9 @@ from instruments.bath.emulator import BathEmulator
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, RegisterProfile, load_profile
 from instruments.clock import Clock, RealClock, VirtualClock
-from instruments.listener import Connection, Device, Listener
+from instruments.listener import Connection, Device
 from instruments.pty_listener import PtyListener
-from tests.instruments.bath.devices import calm_plant
+from tests.instruments.bath.devices import calm_plant, driven
 
 SPOKEN = ["julabo-ascii", "eurotherm-2400"]
 
@@ -54,13 +54,7 @@ def test_the_least_silence_between_two_frames_is_that_of_the_key(name: str) -> N
     for query in ("", "?gap_ms=80"):
         clock = VirtualClock()
         timed = Timed(bath_of(name, clock), clock)
-        scheme = "tcp" if name == "julabo-ascii" else "rtu+tcp"
-        with (
-            closing(Listener(timed, clock, lock=threading.RLock(), name="bath")) as listener,
-            closing(
-                Bath(f"{scheme}://127.0.0.1:{listener.port}{query}", load_profile(name), clock)
-            ) as bath,
-        ):
+        with driven(timed, load_profile(name), clock, query=query) as bath:
             bath.read()
             bath.read()
         least[query] = min(later - sooner for sooner, later in pairwise(timed.at_s))
