@@ -140,14 +140,15 @@ def _several(of: SearchStrategy[S], most: int, once: str = "") -> SearchStrategy
 
 
 def _standing(teats: Sequence[Teat], published: bool) -> tuple[Teat, ...]:
-    """From left to right, each as near to where it was drawn as it stands beside those before it;
-    all of them plainer where one can't.
+    """From left to right, each as near to how it was drawn as it stands beside those before it.
+    Where one has no room at all, each is plainer.
     """
     given = dict(enumerate(teats))
-    for share in SHARES:
+    for most in SHARES:
         found = dict[int, Teat]()
         for i in (i for i in LEFT_TO_RIGHT if i in given):
-            tried = _beside(given[i].nearer(share), published)
+            plainer = (given[i].nearer(most * share) for share in SHARES)
+            tried = (one for near in plainer for one in _beside(near, published))
             found |= next(({i: one} for one in tried if stand({**found, i: one})), {})
         if len(found) == len(given):
             break

@@ -19,16 +19,15 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import count
-from random import Random
 
+import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings, target
-from hypothesis import strategies as st
 from scene_numbers import Key, Numbers, built, distance, numbers, take
 
 import bench
 from bench.testing import Scene, SceneResult, layouts, look, objects, scenes
 
-APART, EXAMPLES = 0.2, 40
+APART, EXAMPLES = 0.2, 100
 NEW = 0.1  # the share of scenes that are new ones, where failures are known
 TRIES = 20
 CERTAINTY = 3.0  # how much what was seen decides which numbers are taken
@@ -43,57 +42,62 @@ class Search:
     failures; how often a scene failed with each number that was taken from a new one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, first: int) -> None:
+        self.chance = np.random.default_rng(first)
         self.tried = list[tuple[float, Scene, SceneResult]]()
         self.known = dict[Scene, Numbers]()
         self.taken, self.failed = Counter[Key](), Counter[Key]()
 
-    def beside(self, new: Scene, chance: Random) -> tuple[Scene, Sequence[Key]]:
+    def beside(self, new: Scene) -> tuple[Scene, Sequence[Key]]:
         """A known failure with numbers of a new scene, and which; or all of the new one."""
-
-        def when(key: Key) -> float:  # the sooner, the more often a scene failed with another one
-            return chance.expovariate(((1 + self.failed[key]) / (2 + self.taken[key])) ** CERTAINTY)
-
         others = numbers(new)
-        for _ in range(TRIES if self.known and chance.random() > NEW else 0):
-            known = chance.choice(list(self.known))
-            found = dict(self.known[known])
-            order = sorted({**found, **others}, key=when)
+        for _ in range(TRIES if self.known and self.chance.random() > NEW else 0):
+            known, were = list(self.known.items())[self.chance.integers(len(self.known))]
+            found, order = dict(were), sorted({**were, **others}, key=self._rank)
             for i, key in enumerate(order, 1):
                 take(key, others, found)
-                if all(distance(found, one) > APART for one in self.known.values()):
+                if all(distance(found, one) > APART for one in (were, *self.known.values())):
                     if not (scene := built(found, known)).faults():
                         return scene, order[:i]
                     break
         return new, ()
+
+    def _rank(self, key: Key) -> float:
+        """By chance; lower, the more often a scene failed with another number."""
+        failing = (1 + self.failed[key]) / (2 + self.taken[key])
+        return self.chance.exponential(failing**-CERTAINTY)
 
     def add(self, after_s: float, scene: Scene, taken: Sequence[Key], found: SceneResult) -> None:
         self.tried.append((after_s, scene, found))
         self.taken.update(taken)
         if found.fault:
             self.failed.update(taken)
-            are = numbers(scene)
-            if all(
-                are.keys() != one.keys() or distance(are, one) > APART
-                for one in self.known.values()
-            ):
+            if self.is_distinct(are := numbers(scene)):
                 self.known[scene] = are
+
+    def is_distinct(self, found: Numbers) -> bool:
+        return all(
+            found.keys() != one.keys() or distance(found, one) > APART
+            for one in self.known.values()
+        )
 
 
 def search(
     detector: str, things: Sequence[str], cpu_s: float, first: int, rig: str = "emulated"
 ) -> Search:
-    state = Search()
+    state = Search(first)
     drawn = scenes(
         layouts=layouts(4, 4), objects=objects(*things), most_objects=6, most_perturbations=0
     )
     look(detector, Scene(), rig=rig)  # what is compiled or loaded once
     began_s = time.process_time()
 
-    def every_end_is_found(new: Scene, chance: Random) -> None:
-        scene, taken = state.beside(new, chance)
+    def every_end_is_found(new: Scene) -> None:
+        scene, taken = state.beside(new)
         if (after_s := time.process_time() - began_s) > cpu_s:
             raise OverError
+        if not state.is_distinct(numbers(scene)):
+            return
         found = look(detector, scene, rig=rig)
         if not state.known:
             target(found.grade_mm)
@@ -108,7 +112,7 @@ def search(
     )
     with suppress(OverError):
         for number in count(1000 * first):
-            seed(number)(how(given(drawn, st.randoms(use_true_random=True))(every_end_is_found)))()
+            seed(number)(how(given(drawn)(every_end_is_found)))()
     return state
 
 
