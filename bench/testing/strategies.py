@@ -146,7 +146,7 @@ def _standing(teats: Sequence[Teat], published: bool) -> tuple[Teat, ...]:
     given = dict(enumerate(teats))
     for most in SHARES:
         found = dict[int, Teat]()
-        for i in (i for i in LEFT_TO_RIGHT if i in given):
+        for i in filter(given.__contains__, LEFT_TO_RIGHT):
             plainer = (given[i].nearer(most * share) for share in SHARES)
             tried = (one for near in plainer for one in _beside(near, published))
             found |= next(({i: one} for one in tried if stand({**found, i: one})), {})
@@ -159,11 +159,9 @@ def _beside(teat: Teat, published: bool) -> Iterator[Teat]:
     """As it is, then further and further to either side."""
     steps = Teat.STEPS["right_mm"]
     least, most = steps.published if published else (steps.least, steps.most)
+    places = sorted(range(least, most + 1, SIDEWAYS), key=lambda at: abs(at - teat.right_mm))
     yield teat
-    for off in range(SIDEWAYS, most - least, SIDEWAYS):
-        for at in (teat.right_mm - off, teat.right_mm + off):
-            if least <= at <= most:
-                yield replace(teat, right_mm=at)
+    yield from (replace(teat, right_mm=at) for at in places)
 
 
 def nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
