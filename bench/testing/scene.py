@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, get_type_hints
@@ -88,10 +88,6 @@ class _Differences:
         kept = {name: share * getattr(self, name) / one.size for name, one in self.STEPS.items()}
         return replace(self, **{name: self.STEPS[name].value(round(n)) for name, n in kept.items()})
 
-    def nearing(self, shares: Sequence[float]) -> Iterator[Self]:
-        """As it is, and nearer and nearer to plain."""
-        yield from (self.nearer(share) for share in shares)
-
     def one_step_away(self) -> Iterator[Self]:
         """Each number a step up and down, within what it may be."""
         for name, steps in self.STEPS.items():
@@ -112,13 +108,6 @@ class Teat(_Differences):
     lean_deg: float = 0
     lean_away_deg: float = 0
     cooler_k: float = 0
-
-    def nearing(self, shares: Sequence[float]) -> Iterator[Self]:
-        """First to its place, since most stand before another teat; then its shape as well."""
-        for share in shares:
-            near = self.nearer(share)
-            yield replace(self, right_mm=near.right_mm, away_mm=near.away_mm)
-        yield from (self.nearer(share) for share in shares)
 
     @wrong_use()
     def at(self, place_mm: tuple[float, float]) -> Standing:
@@ -255,6 +244,14 @@ class Scene(_Differences):
         near += [replace(self, perturbations=few) for few in done]
         near += [replace(self, noise=self.noise + 1 + number) for number in range(NOISES)]
         return tuple(one for one in near if not one.faults())
+
+
+def stand(teats: Mapping[int, Teat]) -> bool:
+    """Whether teats, by the numbers of their places, can be set up where nothing else is."""
+    standing = (one.at(PLACES_MM[i]) for i, one in teats.items())
+    phantom = Phantom(tuple(standing))
+    clear = len(teats) < 2 or apart(phantom, EYES_MM) >= CLEAR_MM
+    return clear and not situation_faults(Situation("given", 0, "", phantom))
 
 
 Teat.STEPS = {

@@ -3,8 +3,9 @@
     python failing_scenes.py fused --cpu-s 30 --things pipe rod hose hot_cup cold_teat
 
 A test of hypothesis ends at its first failure and makes that simpler. Here it goes on instead, with
-the same scenes and the same target, and another seed after every `EXAMPLES` scenes; three of four
-scenes are then drawn beside a failure that is known, with as much of it as leaves them distinct.
+the same scenes and another seed after every `EXAMPLES` scenes. The error is its target until a
+scene failed. Most scenes are then a known failure with numbers of a new scene, until it is distinct
+from all that are known: numbers that mattered least to failures are taken first.
 Two failures are distinct where other things stand there, or where their numbers are apart by
 `APART` of their ranges (root mean square).
 """
@@ -14,47 +15,93 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
-from itertools import count, zip_longest
-from random import Random
-from typing import Any
+from itertools import count
 
+import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings, target
-from hypothesis import strategies as st
+from scene_numbers import Key, Numbers, built, distance, numbers, take
 
 import bench
 from bench.testing import Scene, SceneResult, layouts, look, objects, scenes
 
-APART, EXAMPLES = 0.2, 40
-KEPT = (0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)  # of a known failure, as far as it is distinct
+APART, EXAMPLES = 0.2, 100
+NEW = 0.1  # the share of scenes that are new ones, where failures are known
+TRIES = 20
+CERTAINTY = 3.0  # how much what was seen decides which numbers are taken
 
 
 class OverError(BaseException):
     """The time is over."""
 
 
+class Search:
+    """What was ``tried``: at which second of the processor, and what came of it; the distinct
+    failures; how often a scene failed with each number that was taken from a new one.
+    """
+
+    def __init__(self, first: int) -> None:
+        self.chance = np.random.default_rng(first)
+        self.tried = list[tuple[float, Scene, SceneResult]]()
+        self.known = dict[Scene, Numbers]()
+        self.taken, self.failed = Counter[Key](), Counter[Key]()
+
+    def beside(self, new: Scene) -> tuple[Scene, Sequence[Key]]:
+        """A known failure with numbers of a new scene, and which; or all of the new one."""
+        others = numbers(new)
+        for _ in range(TRIES if self.known and self.chance.random() > NEW else 0):
+            known, were = list(self.known.items())[self.chance.integers(len(self.known))]
+            found, order = dict(were), sorted({**were, **others}, key=self._rank)
+            for i, key in enumerate(order, 1):
+                take(key, others, found)
+                if all(distance(found, one) > APART for one in (were, *self.known.values())):
+                    if not (scene := built(found, known)).faults():
+                        return scene, order[:i]
+                    break
+        return new, ()
+
+    def _rank(self, key: Key) -> float:
+        """By chance; lower, the more often a scene failed with another number."""
+        failing = (1 + self.failed[key]) / (2 + self.taken[key])
+        return self.chance.exponential(failing**-CERTAINTY)
+
+    def add(self, after_s: float, scene: Scene, taken: Sequence[Key], found: SceneResult) -> None:
+        self.tried.append((after_s, scene, found))
+        self.taken.update(taken)
+        if found.fault:
+            self.failed.update(taken)
+            if self.is_distinct(are := numbers(scene)):
+                self.known[scene] = are
+
+    def is_distinct(self, found: Numbers) -> bool:
+        return all(
+            found.keys() != one.keys() or distance(found, one) > APART
+            for one in self.known.values()
+        )
+
+
 def search(
     detector: str, things: Sequence[str], cpu_s: float, first: int, rig: str = "emulated"
-) -> list[tuple[float, Scene, SceneResult]]:
-    """Scenes that were tried: at which second of the processor, and what came of them."""
-    tried, known = list[tuple[float, Scene, SceneResult]](), list[Scene]()
+) -> Search:
+    state = Search(first)
     drawn = scenes(
         layouts=layouts(4, 4), objects=objects(*things), most_objects=6, most_perturbations=0
     )
     look(detector, Scene(), rig=rig)  # what is compiled or loaded once
     began_s = time.process_time()
 
-    def every_end_is_found(scene: Scene) -> None:
-        after_s = time.process_time() - began_s
-        if after_s > cpu_s:
+    def every_end_is_found(new: Scene) -> None:
+        scene, taken = state.beside(new)
+        if (after_s := time.process_time() - began_s) > cpu_s:
             raise OverError
+        if not state.is_distinct(numbers(scene)):
+            return
         found = look(detector, scene, rig=rig)
-        target(found.grade_mm)
-        tried.append((after_s, scene, found))
-        if found.fault and all(apart(scene, one) for one in known):
-            known.append(scene)
+        if not state.known:
+            target(found.grade_mm)
+        state.add(after_s, scene, taken, found)
 
     how = settings(
         max_examples=EXAMPLES,
@@ -65,75 +112,25 @@ def search(
     )
     with suppress(OverError):
         for number in count(1000 * first):
-            # a round draws beside what was known before it
-            seed(number)(how(given(beside(drawn, tuple(known)))(every_end_is_found)))()
-    return tried
-
-
-@st.composite
-def beside(draw: st.DrawFn, drawn: st.SearchStrategy[Scene], known: Sequence[Scene]) -> Scene:
-    """A scene, or some of a new one in a known failure."""
-    new = draw(drawn)
-    if not known or not draw(st.integers(0, 3)):
-        return new
-    old, chance = draw(st.sampled_from(known)), draw(st.randoms(use_true_random=False))
-    tried = (mixed(old, new, share, chance) for share in KEPT)
-    fitting = (one for one in tried if not one.faults() and all(apart(one, of) for of in known))
-    return next(fitting, new)
-
-
-def mixed(old: Scene, new: Scene, share: float, chance: Random) -> Scene:
-    """About a ``share`` of the old one."""
-
-    def of(one: Any, other: Any) -> Any:
-        if one is None or other is None or getattr(one, "kind", "") != getattr(other, "kind", ""):
-            return one if chance.random() < share else other
-        taken = [name for name in one.STEPS if chance.random() >= share]
-        return replace(one, **{name: getattr(other, name) for name in taken})
-
-    things = (of(*pair) for pair in zip_longest(old.objects, new.objects))
-    return replace(
-        of(old, new),
-        teats=tuple(of(*pair) for pair in zip(old.teats, new.teats, strict=True)),
-        objects=tuple(one for one in things if one is not None),
-        paint=(old if chance.random() < share else new).paint,
-    )
-
-
-def apart(one: Scene, other: Scene) -> bool:
-    """Whether two failures are distinct."""
-    if [thing.kind for thing in one.objects] != [thing.kind for thing in other.objects]:
-        return True
-    parts = [
-        (one, other),
-        *zip((*one.teats, *one.objects), (*other.teats, *other.objects), strict=True),
-    ]
-    shares = [
-        (getattr(a, name) - getattr(b, name)) / ((steps.most - steps.least) * steps.size)
-        for a, b in parts
-        for name, steps in a.STEPS.items()
-    ]
-    return math.sqrt(sum(share**2 for share in shares) / len(shares)) > APART
+            seed(number)(how(given(drawn)(every_end_is_found)))()
+    return state
 
 
 def main(
     detector: str, things: Sequence[str] = (), cpu_s: float = 30.0, first: int = 0, **more: str
 ) -> str:
     """One line; each distinct failure before it."""
-    tried = search(detector, things, cpu_s, first, **more)
-    failed = [(after_s, scene, found) for after_s, scene, found in tried if found.fault]
-    distinct: list[Scene] = []
-    for after_s, scene, found in failed:
-        if all(apart(scene, one) for one in distinct):
-            distinct.append(scene)
-            print(f"{after_s:.1f} s: {found.fault}: {scene}")
-    different, soonest = (
-        len({scene for _, scene, _ in failed}),
-        failed[0][0] if failed else math.inf,
-    )
+    state = search(detector, things, cpu_s, first, **more)
+    failed = {
+        scene: (after_s, found) for after_s, scene, found in reversed(state.tried) if found.fault
+    }
+    for scene in state.known:
+        after_s, found = failed[scene]
+        print(f"{after_s:.1f} s: {found.fault}: {scene}")
+    soonest = min((after_s for after_s, _ in failed.values()), default=math.inf)
     return (
-        f"{different} failing scenes of {len({scene for _, scene, _ in tried})}, {len(distinct)}"
-        f" distinct, the first after {soonest:.1f} s of {cpu_s:g} s"
+        f"{len(failed)} failing scenes of {len({scene for _, scene, _ in state.tried})},"
+        f" {len(state.known)} distinct, the first after {soonest:.1f} s of {cpu_s:g} s"
     )
 
 

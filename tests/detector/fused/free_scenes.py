@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.testing.scene import PAINTS, PLACES_MM, Object, Pose, Scene, Teat
-from bench.testing.strategies import nearest, put_teat
+from bench.testing.strategies import nearest
 from instruments.world.objects import KINDS
 
 T = TypeVar("T", Teat, Pose, Object, Scene)
@@ -23,13 +23,17 @@ def free_scene(k: int) -> Scene:
     rng = np.random.default_rng([77, k])
     found = Scene((Teat(),) * int(rng.integers(1, len(PLACES_MM) + 1)))
     for i in range(len(found.teats)):
-        found = nearest(found, _drawn(Teat(), rng), partial(put_teat, i))
+        found = nearest(found, _drawn(Teat(), rng), partial(_put_teat, i))
     found = nearest(found, _drawn(Pose(), rng), lambda near, scene: replace(scene, pose=near))
     found = replace(_drawn(found, rng), paint=_one_of(PAINTS, rng))
     for _ in range(rng.integers(MOST_OBJECTS + 1)):
         thing = _drawn(Object(_one_of(KINDS, rng)), rng)
         found = nearest(found, thing, lambda near, at: replace(at, objects=(*at.objects, near)))
     return found
+
+
+def _put_teat(i: int, teat: Teat, scene: Scene) -> Scene:
+    return replace(scene, teats=(*scene.teats[:i], teat, *scene.teats[i + 1 :]))
 
 
 def _one_of(names: Iterable[str], rng: np.random.Generator) -> Any:
