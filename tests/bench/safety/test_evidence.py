@@ -115,7 +115,7 @@ def test_what_was_told_to_stop_is_nobodys_to_switch_off_while_the_run_goes_to_sa
     evidence: Evidence,
 ) -> None:
     devices = SimpleNamespace(
-        safed={"stage": Safing("stage", evidence)}, heard={}, active=set(), arm=None
+        safed={"stage": Safing("stage", evidence)}, answered_s={}, active=set(), arm=None
     )
     run: Any = SimpleNamespace(devices=devices, clock=VirtualClock(), last={}, away="")
     run._camera_gone, run.made_safe = "", False
