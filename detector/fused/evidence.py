@@ -89,8 +89,7 @@ def weigh(
     medians = _offsets(fitted)
     thermal, wide = medians[:, 2], medians[:, :2, [SIDE_A, SIDE_B]].sum(axis=2)
     width = np.nan_to_num(np.abs(wide[:, 0] - wide[:, 1]))
-    rows, _ = row_offsets(fitted, prior)
-    low, high = levels
+    (rows, _), (low, high) = row_offsets(fitted, prior), levels
     in_range = (np.sort(warmth, axis=1)[:, 1] - low) / max(high - low, _LEAST_RANGE_K)
     both, end = other[:, :2].min(axis=1) > _LEAST_BOTH, good[:, :2, part == END]
     bends = np.minimum(end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)) > _BENDS
