@@ -247,7 +247,9 @@ def learned_spread(some: Sequence[Shown]) -> Array:
 
     start = np.log(np.r_[1.0, np.full(len(TERMS), 0.05)])
     bounds = [(-2.3, 2.3), *[(-8.0, 3.0)] * len(TERMS)]
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    # by default it stops on slow slopes far from the best
+    stop = {"ftol": 1e-15}
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=stop)
     return np.asarray(np.where(found.x > -7.0, np.exp(found.x), 0.0))
 
 
