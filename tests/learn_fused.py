@@ -2,8 +2,8 @@
 detector/fused/learned.json.
 
 Scenes of all families are drawn on the shipped rig, some of each on rigs drawn at random, scenes of
-the free range of `bench.testing` (one family more), and those that were difficult; DIR keeps their
-frames. The detector runs on them and shows what it measures of every fit. The log odds of a fit are
+the free range of `bench.testing` and of lines beside teats (two families more), and those that were
+difficult; DIR keeps their frames. The detector runs on them and shows what it measures of every fit. The log odds of a fit are
 linear in that: weights are the maximum a posteriori with a ridge, of fits labelled by whether an
 end is near. The power of odds by which fits of one end are weighted is that which does best; the
 least odds of what is given are the least that do about as well as the best. Standard deviations are
@@ -46,6 +46,8 @@ from detector.outline.model import apexes
 from detector.outline.prior import Prior, eyes_mm, world_from_teats
 from instruments.world.scene import Renderer
 from instruments.world.situations import SITUATIONS, member
+from tests.detector.fused.beside_scenes import NAME as BESIDE
+from tests.detector.fused.beside_scenes import beside_scene
 from tests.detector.fused.difficult import DIFFICULT, Rendered, rendered
 from tests.detector.fused.free_scenes import free_scene
 
@@ -71,6 +73,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "odds beyond doubt": (2.0, 4.0),
     "thermal end, clear": (0.75, 0.85),
     "thermal end, counted": (0.8, 0.9),
+    "side goes on, mm": (5.0, 10.0),
 }
 
 
@@ -110,6 +113,9 @@ def scenes(frames: Path) -> Iterator[tuple[str, Calibration, Any]]:
     for k in range(FIRST, FIRST + FREE_SCENES):
         path, draws = frames / f"{FREE}-{k}.npz", partial(_drawn, usual, FREE, k)
         yield from _kept(path, FREE, rig.calibration, draws)
+    for k in range(FIRST, FIRST + MEMBERS):
+        path, draws = frames / f"{BESIDE}-{k}.npz", partial(_drawn, usual, BESIDE, k)
+        yield from _kept(path, BESIDE, rig.calibration, draws)
     for name, noise, k in DIFFICULT:
         path, renderer = frames / f"{name}-{k}-{noise}.npz", rig_renderer(rig, noise)
         yield from _kept(path, name, rig.calibration, partial(rendered, renderer, name, noise, k))
@@ -128,7 +134,10 @@ def _kept(
 
 
 def _drawn(renderer: Renderer, name: str, k: int) -> Rendered:
-    state = free_scene(k).state() if name == FREE else warm(member(name, k)[0])
+    if name == FREE:
+        state = free_scene(k).state()
+    else:
+        state = warm(beside_scene(k) if name == BESIDE else member(name, k)[0])
     shot = draw(renderer, name, state, [SEED, k])
     ends = np.array([row.xyz_mm for row in shot.truth])
     visible = np.array([row.visible for row in shot.truth])
@@ -238,7 +247,9 @@ def learned_spread(some: Sequence[Shown]) -> Array:
 
     start = np.log(np.r_[1.0, np.full(len(TERMS), 0.05)])
     bounds = [(-2.3, 2.3), *[(-8.0, 3.0)] * len(TERMS)]
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    # by default it stops on slow slopes far from the best
+    stop = {"ftol": 1e-15}
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=stop)
     return np.asarray(np.where(found.x > -7.0, np.exp(found.x), 0.0))
 
 
@@ -288,7 +299,7 @@ def main() -> None:
     (weights, bias), factors = learned_odds(some), learned_spread(some)
     power = min(POWERS, key=lambda each: judged(some, weights, bias, LEASTS[0], each)["mean mm"])
     apart = list[tuple[str, list[Shown], tuple[Array, float]]]()
-    for name in (*SITUATIONS, FREE):
+    for name in (*SITUATIONS, FREE, BESIDE):
         others = learned_odds([one for one in some if one.family != name], np.r_[weights, bias])
         apart.append((name, [one for one in some if one.family == name], others))
 

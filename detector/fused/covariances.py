@@ -236,10 +236,7 @@ TERMS: dict[str, Term] = {
     "taper of the prior, radius off the usual": Term("taper", lambda f: f.off_usual),
     "height of the prior": Term("height", _one),
     "along, outside of a teat's size": Term("along", lambda f: f.off_size),
-    "across, outside of a teat's size": Term("across", lambda f: f.off_size),
-    "sight, outside of a teat's size": Term("sight", lambda f: f.off_size),
     "along, leaning more than a teat": Term("along", lambda f: f.too_steep),
-    "across, leaning more than a teat": Term("across", lambda f: f.too_steep),
     "sight, leaning more than a teat": Term("sight", lambda f: f.too_steep),
 }
 

@@ -164,6 +164,7 @@ MEASURES: dict[str, Measure] = {
     "sides go on, end in part, mm": Measure(
         0, 8, GOES_ON, lambda f: f.of.goes_on_mm * (1 - f.of.end[:, :2].mean(axis=1))
     ),
+    "a side goes on, mm": Measure(0, 15, GOES_ON, lambda f: f.of.lines_mm.max(axis=(1, 2))),
     "thermal outline within, px": Measure(-2, 0, ELSEWHERE, lambda f: f.thermal.min(axis=1), True),
     "thermal end beyond, px": Measure(0, 1.5, ELSEWHERE, lambda f: f.thermal[:, END], True),
     "thermal outline beyond, px": Measure(0, 1, ELSEWHERE, _all_beyond, True),

@@ -38,6 +38,7 @@ from detector.fused.refine import (
     shaped_again,
     slide_to_round,
     slide_to_stop,
+    without_lines,
 )
 from detector.fused.refits import doubts, shapes, unsure, whole_ends
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
@@ -90,7 +91,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "26"  # counted up when an answer on any frame set changes
+    version: str = "27"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -288,7 +289,7 @@ def _far_px(judged: _Judged, view: CameraView) -> Array:
 
 def _fit(teats: Array, scene: _Scene) -> _Judged:
     """Fit and judge; again without what a neighbour may have bridged, where ends may be too high or
-    low, or not of the usual shape, and from beside what is unsure.
+    low, or not of the usual shape, without lines of other things, and from beside what is unsure.
     """
     views, p, limits = scene.views, scene.p, LEARNED.limits
     judged = _from_starts(teats, scene)
@@ -309,6 +310,11 @@ def _fit(teats: Array, scene: _Scene) -> _Judged:
             judged, fitted=judged.fitted.take(usual), evidence=judged.evidence.take(usual)
         )
         judged = scene.judged(again, rest)
+    # what goes on beyond the end is no side of a teat, but a rod's or a leg's line
+    lines = judged.evidence.lines_mm > limits["side goes on, mm"]
+    if rows := [i for i in judged.decision.accepted if lines[i].any()]:
+        again = without_lines(judged.fitted.take(rows), lines[rows], views, p.prior)
+        judged = scene.judged(again, judged)
     if rows := unsure(*judged.each, limits, p):
         beside = refine_beside(judged.fitted.take(rows), views, p, scene.calibration)
         judged = scene.judged(beside, judged)

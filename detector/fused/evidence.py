@@ -49,6 +49,8 @@ class Evidence(Rows):
     # whether both sides stop at the end and bend, and how far straight sides go on beyond it, mm
     stops: NDArray[np.bool_]
     goes_on_mm: Array
+    # the same of each side in each optical picture (m, 2 pictures, 2), mm; 0 of what is left out
+    lines_mm: Array
     # how much wider one optical picture shows it than the other, and how far the right one's edges
     # are off in rows, px
     width_px: Array
@@ -87,21 +89,18 @@ def weigh(
     medians = _offsets(fitted)
     thermal, wide = medians[:, 2], medians[:, :2, [SIDE_A, SIDE_B]].sum(axis=2)
     width = np.nan_to_num(np.abs(wide[:, 0] - wide[:, 1]))
-    rows, _ = row_offsets(fitted, prior)
-    low, high = levels
+    (rows, _), (low, high) = row_offsets(fitted, prior), levels
     in_range = (np.sort(warmth, axis=1)[:, 1] - low) / max(high - low, _LEAST_RANGE_K)
-    stops, goes_on = np.zeros(m, dtype=bool), np.zeros(m)
-    at = np.flatnonzero(other[:, :2].min(axis=1) > _LEAST_BOTH)
-    if len(at):
-        end = good[at][:, :2, part == END]
-        bends = [end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)]
-        each, together = side_stops(fitted.teats[at], views, _BEYOND_MM)
-        stops[at] = (np.abs(each - ROUND_MM) <= _STOP_MM).all(axis=1)
-        stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
-        goes_on[at] = np.clip(together - ROUND_MM, 0.0, _BEYOND_MM)
+    both, end = other[:, :2].min(axis=1) > _LEAST_BOTH, good[:, :2, part == END]
+    bends = np.minimum(end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)) > _BENDS
+    each, together = (mm - ROUND_MM for mm in side_stops(fitted.teats, views, _BEYOND_MM))
+    stops = both & bends.all(axis=1) & (np.abs(each) <= _STOP_MM).all(axis=1)
+    goes_on = np.where(both, np.clip(together, 0.0, _BEYOND_MM), 0.0)
+    lines = np.clip(each.reshape(m, 2, 2).swapaxes(1, 2), 0.0, _BEYOND_MM)
+    lines *= np.stack([open_[:, :2, part == p].any(axis=2) for p in (SIDE_A, SIDE_B)], axis=2)
     return Evidence(
         shares[END], better, other, misfit, end_misfit, warmth, in_range, largest,
-        fitted.followed, fitted.shaped, thermal, stops, goes_on, width, rows,
+        fitted.followed, fitted.shaped, thermal, stops, goes_on, lines, width, rows,
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@ where needed.
 
 The rough pass looks far for plain steps; the fine pass looks close with the full edge model. Then
 a fit that may bridge two teats is begun again on one side; an end seen in part is slid up its
-sides, and an unsure one is begun from beside.
+sides, a side that goes on is left out, and an unsure end is begun from beside.
 """
 
 from __future__ import annotations
@@ -35,8 +35,6 @@ from detector.outline.model import (
     END,
     HEIGHT,
     RADIUS,
-    SIDE_A,
-    SIDE_B,
     TAPER,
     Outline,
     apexes,
@@ -177,18 +175,25 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
     """Two starts for each teat (m, 8), each with one side and half the end; and what is left out.
     Where teats touch, the other side is the neighbour's.
     """
-    starts, masks = [], []
-    ends = np.array_split(np.flatnonzero(FINE_OUTLINE.part == END), 2)
-    for lost, sign, half in ((SIDE_B, -1.0, ends[1]), (SIDE_A, 1.0, ends[0])):
-        start = teats.copy()
-        start[:, CX] += sign * (start[:, RADIUS] - p.prior.radius_mm)
-        start[:, RADIUS], start[:, TAPER] = p.prior.radius_mm, 0.0
-        starts.append(start)
-        left_out = FINE_OUTLINE.part == lost
-        left_out[half] = True
-        left_out = np.tile(left_out, views)
-        masks.append(np.repeat(left_out[None], len(teats), axis=0))
-    return np.concatenate(starts), np.concatenate(masks)
+    starts = np.repeat(teats[None], 2, axis=0)
+    starts[..., CX] += np.array([[-1.0], [1.0]]) * (starts[..., RADIUS] - p.prior.radius_mm)
+    starts[..., RADIUS], starts[..., TAPER] = p.prior.radius_mm, 0.0
+    lost = np.repeat([[False, True], [True, False]], len(teats), axis=0)
+    return starts.reshape(-1, COUNT), _points(np.repeat(lost[:, None], views, axis=1))
+
+
+def _points(sides: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Points (m, views * n) of ``sides`` (m, views, 2), each with the half of the end beside it."""
+    return np.repeat(sides.reshape(len(sides), -1), len(FINE_OUTLINE.part) // 2, axis=1)
+
+
+def without_lines(
+    fitted: Fitted, lines: NDArray[np.bool_], views: tuple[CameraView, ...], prior: Prior
+) -> Fitted:
+    """The teats fitted again without sides that are other things' ``lines`` (m, 2 pictures, 2)."""
+    left_out, points = fitted.hidden.copy(), _points(lines)
+    left_out[:, : points.shape[1]] |= points
+    return fine(fitted.teats, left_out, views, prior)
 
 
 def refine_slid(slid: Array, views: tuple[CameraView, ...], p: Parameters) -> Fitted:
