@@ -1,5 +1,5 @@
-"""Where the command and the plug-in for pytest begin, under a name that nobody else has: before a
-package of teatbench is imported, they ask whether another's file or folder hides one.
+"""Where the command and the plug-in for pytest begin, under a name of their own: before a package
+of teatbench is imported, they ask whether another's file or folder hides one.
 """
 
 import os

@@ -70,7 +70,7 @@ class PluginDetector:
         return cast("str | None", own(calibration)) if own else None
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        """The object's own answer; whoever asks checks it."""
+        """The object's own answer; the caller checks it."""
         return cast("Detection", self.inner.detect(frames, calibration))
 
     def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:

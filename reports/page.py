@@ -1,6 +1,6 @@
 """A page described as data: what it says, as frozen values that check themselves when made.
 
-All text is plain text; numbers arrive as text, rounded by whoever knows their meaning. How it looks
+All text is plain text; numbers arrive as text, rounded where their meaning is known. How it looks
 is in `templates/`; `render.py` joins the two.
 """
 

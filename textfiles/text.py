@@ -140,7 +140,7 @@ def time_text(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-LEAST_COLUMNS = 20  # a pseudo-terminal whose size nobody has set has 0
+LEAST_COLUMNS = 20  # a pseudo-terminal without a size has 0
 
 
 def wrapped(text: str, out: TextIO) -> str:

@@ -357,7 +357,7 @@ def open_rig(
     check_within(FROM_0, seed=seed)
     if unknown := [name for name in several("instruments", instruments) if name not in ALL]:
         raise ConfigError.plain(f"no instrument {unknown[0]!r} (there are: {', '.join(ALL)})")
-    # cameras and operators are nobody else's anyhow
+    # no other process can have these cameras and operators
     has_alone = {"arm", "bath", "stage"} & {*instruments}
     lock = lock_path(loaded) if has_alone else None
     with (

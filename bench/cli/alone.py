@@ -149,7 +149,7 @@ def focus(given: argparse.Namespace) -> None:
         if given.page:
             first = _next_look(alone, clock, clock.now() + seconds, given.every)
             page = stack.enter_context(bench.live_page(first, given.every))
-            clock = page.clock  # whoever looks does so in real time, on an emulated rig too
+            clock = page.clock  # a person looks in real time, on an emulated rig too
             print(f"page {page.url}", flush=True)
             if on_a_desktop():
                 webbrowser.open(page.url)

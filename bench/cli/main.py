@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if (limit := _address_limit()) < LEAST_BYTES:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
-            # a verdict is that of all that was asked for, whoever reads on
+            # a verdict is of all that was asked for, even where its reader has left
             keep_writing("1" in commands.exit_codes(given.called))
             with stdout_for_json() if vars(given).get("json") else nullcontext():
                 return _run(given)

@@ -189,7 +189,7 @@ def rehearse(
                     answers.hands = hands
                     devices = replace(devices, operator=answers)
                 ctx = RunContext(tested, script, devices, store, events)
-                ctx.live.ended, events.status = True, lambda: None  # nobody looks on
+                ctx.live.ended, events.status = True, lambda: None  # no person watches it
                 Engine(ctx, (), exact_ends=twin.world.ends_mm).run()
         lines = list(read_events(run))
         if any(e.get("kind") == "aborted" and e["text"].startswith(INTERRUPTED) for e in lines):

@@ -135,41 +135,7 @@ def build_page(
     undecided = undecided_of(judgements)
     looked, count = first_trials(run, undecided), len(run.trials)
     few = in_page(count, len(run.detectors))
-    limit_mm, links = rules.visible_within_mm, first_looks(run, undecided)
-    trials: Chapters = {
-        "trial-list": ("All trials", (*([links] if links else []), trial_table(run))),
-        "deviations": ("Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
-        "blamed": ("What went wrong where", tables.attribution_parts(run, calibration)),
-    }
-    accuracy: Chapters = {
-        "results": ("Results by situation", _result_parts(run, rules)),
-        "detectors": ("Detectors compared", detectors_parts(run)),
-        "baseline": ("Against the baseline", baseline),
-        "accuracy": ("Errors", _accuracy_parts(run, rules, calibration)),
-        "poses": ("Poses", pose_parts(run, limit_mm)),
-        "latency": ("Time", _latency_parts(run, rules)),
-    }
-    reference = (
-        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
-        *gage_parts(run, limit_mm),
-        *(*arm_parts(run), *record_parts(run)),
-    )
-    pages: Mapping[str, tuple[str, Chapters]] = {
-        "page-trials": ("Trials", trials),
-        "page-accuracy": ("Accuracy", accuracy),
-        "page-truth": (
-            "Truth and uncertainty",
-            {"reference": ("Measurand and reference", reference)},
-        ),
-        "page-bath": (
-            "Bath and interlocks",
-            {"environment": ("Bath and environment", bath_parts(run, rules))},
-        ),
-        "page-provenance": (
-            "Provenance",
-            {"provenance": ("Who, with what, when", provenance_parts(run, status))},
-        ),
-    }
+    pages = _pages(run, status, rules, calibration, baseline, first_looks(run, undecided))
     behind = {anchor: (title, sections(of)) for anchor, (title, of) in pages.items()}
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     drawing = parts or TrialParts()
@@ -199,6 +165,52 @@ def build_page(
         alarm=alarm if run.damage else "",
         footer=(f"teatbench {run.facts['versions']['teatbench']}, run {run.folder.name}",),
     )
+
+
+def _pages(
+    run: RunRecord,
+    status: RunStatus,
+    rules: Rules,
+    calibration: Calibration,
+    baseline: Iterable[Part],
+    links: Part | None,
+) -> Mapping[str, tuple[str, Chapters]]:
+    """The pages behind the first one, by anchor: title, and chapters."""
+    limit_mm = rules.visible_within_mm
+    trials: Chapters = {
+        "trial-list": ("All trials", (*([links] if links else []), trial_table(run))),
+        "deviations": ("Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
+        "blamed": ("What went wrong where", tables.attribution_parts(run, calibration)),
+    }
+    accuracy: Chapters = {
+        "results": ("Results by situation", _result_parts(run, rules)),
+        "detectors": ("Detectors compared", detectors_parts(run)),
+        "baseline": ("Against the baseline", baseline),
+        "accuracy": ("Errors", _accuracy_parts(run, rules, calibration)),
+        "poses": ("Poses", pose_parts(run, limit_mm)),
+        "latency": ("Time", _latency_parts(run, rules)),
+    }
+    reference = (
+        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
+        *gage_parts(run, limit_mm),
+        *(*arm_parts(run), *record_parts(run)),
+    )
+    return {
+        "page-trials": ("Trials", trials),
+        "page-accuracy": ("Accuracy", accuracy),
+        "page-truth": (
+            "Truth and uncertainty",
+            {"reference": ("Measurand and reference", reference)},
+        ),
+        "page-bath": (
+            "Bath and interlocks",
+            {"environment": ("Bath and environment", bath_parts(run, rules))},
+        ),
+        "page-provenance": (
+            "Provenance",
+            {"provenance": ("Who, with what, when", provenance_parts(run, status))},
+        ),
+    }
 
 
 def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -> Banner:

@@ -29,7 +29,7 @@ if sys.platform == "win32":
                 self._held = _winapi.OpenProcess(access, False, process)
 
         def state(self) -> State:
-            """``dying`` for one that has ended, whoever holds its pipe open."""
+            """``dying`` for one that has ended, even where its pipe is open."""
             waits = self._held and _winapi.WaitForSingleObject(self._held, 0)
             return "alive" if not self._held or waits else "dying"
 

@@ -276,7 +276,7 @@ class RunContext:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last and name in devices.active:
                 last += f", {self.watch.course}"
-        # what was told to stop is asked again on the way to safe: until then nobody has to act
+        # a stop that was sent is asked for again on the way to safe: no person has to act before
         final = found and (self.made_safe or found.evidence is not Evidence.SENT)
         if found and final and not found.is_safe and acts in BY_HAND:
             how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]

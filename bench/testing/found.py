@@ -49,7 +49,7 @@ def write_found(error: SceneFailedError, folder: Path) -> Path:
 
 
 def folder_name(test: str) -> str:
-    """A folder's name for a test's; a long one is cut, and told apart by its digest."""
+    """A folder's name for a test's; a long one is cut, and ends in its digest."""
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", test).strip("-.") or "scene"
     return name if len(name) <= LONGEST else f"{name[:LONGEST]}-{crc32(test.encode()):08x}"
 

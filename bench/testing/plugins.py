@@ -61,7 +61,7 @@ class Watch:
         self.cuts = self.interruptions = 0
         self.identity = ""
         self.faults: list[str] = []
-        self.made: list[Any] = []  # kept: Python closes the port of what nobody has any more
+        self.made: list[Any] = []  # kept: Python closes the port of what is collected
 
     @property
     def opened(self) -> tuple[int, int]:

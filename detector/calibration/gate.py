@@ -1,4 +1,4 @@
-"""The gate that every calibration passes, whoever made it: lenses that no camera has, and pairs
+"""The gate that every calibration passes, from any source: lenses that no camera has, and pairs
 that see no depth. What can't be is refused where it enters; no detector can be blamed for it.
 
 A distortion is one-to-one as long as the determinant of its Jacobian stays above zero on the way

@@ -252,21 +252,21 @@ def _replaced(before: _Before) -> Iterator[tuple[ModuleType, str, Any]]:
                     yield module, name, one
 
 
-_refused: dict[str, str] = {}  # by module: what it replaced as it was loaded
+_refused: dict[str, str] = {}  # by the name of what was loaded: what it replaced then
 
 
 @contextmanager
-def loading(module: str) -> Iterator[None]:
-    """As `undisturbed`, while another's ``module`` is loaded. Raises ImportError where it replaces
-    functions by which the bench's own threads and links wait.
+def loading(name: str) -> Iterator[None]:
+    """As `undisturbed`, while a module of another's is loaded, for what is called ``name``. Raises
+    ImportError where it replaces functions by which the bench's own threads and links wait.
     """
     before = _names(WAITING)
     for one in QUIET:
         logging.getLogger(one).setLevel(logging.WARNING)
     with undisturbed():
         yield
-    gone = [f"{where.__name__}.{name}" for where, name, _ in _replaced(before)]
-    if what := _refused.setdefault(module, ", ".join(gone[:3])):
+    gone = [f"{module.__name__}.{function}" for module, function, _ in _replaced(before)]
+    if what := _refused.setdefault(name, ", ".join(gone[:3])):
         raise ImportError(
             f"it replaces functions of Python that the bench waits by, such as {what}: leave out"
             " what does so, as gevent's monkey.patch_all"

@@ -52,7 +52,7 @@ class Reply:
 
 class Mailbox:
     """The run's end. ``folder`` is the run's; numbers go on from those of an earlier session, whose
-    open prompt nobody waits for any more.
+    open prompt that is no longer waited for.
     """
 
     def __init__(self, folder: Path) -> None:
