@@ -50,7 +50,7 @@ def accuracy_tables(
     yield _distances(run, rows, pool, detector)
     yield _tolerance(pool, detector)
     said = Counter(
-        one.partition(": ")[2] if one.startswith("left out at ") else one
+        one.partition(": ")[2] if one.startswith(("left out at ", "unsure at ")) else one
         for trial in run.trials
         for row in trial.detections
         if row["detector"] == detector and row["reason"]

@@ -28,7 +28,7 @@ from detector.fused.depth_search import (
 )
 from detector.fused.evidence import Evidence, warmth_across, weigh
 from detector.fused.learned import learned
-from detector.fused.left_out import left_out, outside
+from detector.fused.left_out import left_out, outside, unsure_ends
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
     one_sided,
@@ -55,8 +55,9 @@ from detector.fused.thermal import (
 from detector.fused.witness import (
     Agreement,
     agreement,
-    calibration_covariances,
     disagreement,
+    disagreement_covariances,
+    unstated_covariances,
     with_cameras_off,
 )
 from detector.geometry import Array, Camera
@@ -91,7 +92,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "27"  # counted up when an answer on any frame set changes
+    version: str = "28"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -262,13 +263,16 @@ def _detect(
     edges = sharpness(fitted, scene.views[:2])
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
-    answers = _answers(judged, cameras, edges, scene, trace) if decision.accepted else ()
+    answers, said = (
+        _answers(judged, cameras, edges, scene, trace)
+        if decision.accepted
+        else ((), ["nothing warm has the outline of a teat in both optical pictures"])
+    )
     # what of the given lies outside of what teats are, and what isn't given
     given = Fits(fitted.teats, evidence.take(decision.accepted), p.prior)
     doubtful = decision.odds > LEARNED.least - _MAYBE_END
     thermal_px = thermal.px(apexes(judged.fitted.teats))
     warm_px = (scene.unexplained(fitted.teats, _SOME_END) + 0.5) * size - 0.5
-    said = [] if answers else ["nothing warm has the outline of a teat in both optical pictures"]
     said += outside(given)
     said += left_out(
         judged.fitted.teats, decision, doubtful, thermal_px, warm_px, size, calibration
@@ -392,8 +396,10 @@ def _start(
 
 def _answers(
     judged: _Judged, cameras: Agreement, edges: Sharpness, scene: _Scene, trace: list[Stage]
-) -> tuple[Teat, ...]:
-    """Accepted ends with covariances, the calibration's included, and their pixels."""
+) -> tuple[tuple[Teat, ...], list[str]]:
+    """Accepted ends with covariances, the calibration's included, and their pixels; and what is
+    said of unsure ones.
+    """
     rows, calibration, p = judged.decision.accepted, scene.calibration, scene.p
     accepted, evidence = judged.fitted.take(rows), judged.evidence.take(rows)
     fitted, own = unaliased(accepted, p)
@@ -403,15 +409,17 @@ def _answers(
     ends, down = turned.apply(found), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
     own = own + end_covariances(fitted, p)
-    rest = calibration_covariances(cameras, ends, calibration, p)
-    rest += turned.R @ between @ turned.R.T
+    unstated = unstated_covariances(ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
+    rest = turned.R @ between @ turned.R.T
+    rest += disagreement_covariances(cameras, ends, calibration, p)
     rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
     priors = held(fitted, p)
     shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own, "held": priors}
-    trace.append(Stage("answers", shown | {"rest": turned.R.T @ rest @ turned.R}))
+    trace.append(Stage("answers", shown | {"rest": turned.R.T @ (unstated + rest) @ turned.R}))
     fits = Fits(teats, evidence, p.prior)
-    own = turned.R @ stated(own, fits, priors, LEARNED, calibration) @ turned.R.T
-    covariances = world_covariances(own + rest, ends, calibration)
+    own = turned.R @ stated(own, fits, priors, LEARNED, calibration) @ turned.R.T + rest
+    covariances = world_covariances(own + unstated, ends, calibration)
     pixels = *calibration.project(world), scene.thermal.px(found)
-    return tuple(Teat(*each) for each in zip(world, covariances, *pixels, strict=True))
+    answers = tuple(Teat(*each) for each in zip(world, covariances, *pixels, strict=True))
+    return answers, unsure_ends(pixels[0], own, p.prior)

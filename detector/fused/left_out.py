@@ -1,6 +1,6 @@
 """What a frame set shows that isn't among the answers, each in a sentence: warm ends in the thermal
 picture that no answer explains, and fits that may have been ends. And what an answer is that lies
-outside of what teats are.
+outside of what teats are, or whose place is unsure.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from detector.calibration import Calibration
 from detector.fused.decide import WORSE, Decision, Fits
 from detector.geometry import Array
 from detector.outline.model import RADIUS, apexes
-from detector.outline.prior import world_from_teats
+from detector.outline.prior import Prior, world_from_teats
 
 _NO_FIT = "the optical pictures show no outline there"
 _PLACE_MM, _NEAR_SENSOR_PX = 15.0, 6.0  # fits and thermal ends so near are of one thing
+_SDS = 2.576  # in which 99 % of errors along an axis lie
+_IN_DEPTH = 0.9  # of a unit vector: within 26 degrees of the camera's axis
 
 
 def left_out(
@@ -58,4 +60,19 @@ def outside(fits: Fits) -> list[str]:
     return [
         *(f"an end as of a teat, leaning {angle:.0f} degrees" for angle in degrees[lean]),
         *(f"an end as of a teat, {mm:.0f} mm wide" for mm in wide[size]),
+    ]
+
+
+def unsure_ends(left_px: Array, covariances: Array, prior: Prior) -> list[str]:
+    """Of given ends (m, 2) of the left picture, each that may be farther off than an end may be
+    where a cup is put on, by covariances (m, 3, 3) mm^2, right camera's frame, without what the
+    ends of a frame have in common.
+    """
+    variances, ways = np.linalg.eigh(covariances)
+    off, in_depth = _SDS * np.sqrt(variances[:, -1]), np.abs(ways[:, 2, -1]) > _IN_DEPTH
+    return [
+        f"unsure at left ({x:.0f}, {y:.0f}): an end that may be more than {prior.within_mm:.0f} mm"
+        f" off{' in depth' if deep else ''}"
+        for (x, y), mm, deep in zip(left_px.tolist(), off, in_depth, strict=True)
+        if mm > prior.within_mm
     ]

@@ -188,32 +188,51 @@ def _moved(calibration: Calibration, owner: str, name: str, step: float) -> Cali
     return calibration.moved(owner, name, step)
 
 
-def calibration_covariances(
+def disagreement_covariances(
     found: Agreement, ends_mm: Array, calibration: Calibration, p: Parameters
 ) -> Array:
-    """(m, 3, 3) mm^2 of ends (m, 3), right camera's frame, beside what the calibration states.
-
-    Where the calibration states nothing, a disparity wrong by ``p.calibration_px`` and each focal
-    length by ``p.calibration_focal`` of it; and as much of disparity as the thermal picture shows
-    beyond its noise. Along the line of sight; across it half of the disparity, since either camera
-    may be off, half of what the rows are off, and by what one side alone is.
+    """(m, 3, 3) mm^2 of ends (m, 3), right camera's frame: as much of disparity as the thermal
+    picture shows beyond its noise, half of what the rows are off, and what one side alone is.
     """
+    shown = max(found.disparity_px - p.thermal_noise_px / found.ratio, 0.0)
+    across_px = np.hypot(0.5 * shown, found.swell_px), 0.5 * np.nan_to_num(found.rows_px)
+    return _shifted(shown, across_px, ends_mm, calibration)
+
+
+def unstated_covariances(ends_mm: Array, calibration: Calibration, p: Parameters) -> Array:
+    """The same where the calibration states nothing: a disparity wrong by ``p.calibration_px`` and
+    each focal length by ``p.calibration_focal`` of it. 0 where it does.
+    """
+    if calibration.covariance is not None:
+        return np.zeros((len(ends_mm), 3, 3))
+    sight_mm, mm_a_px = _sights(ends_mm, calibration)
+    in_left = calibration.right_from_left.inverse().apply(ends_mm)
+    moves = []
+    # pixels are off by a share of their distance from the axis
+    for sign, points in ((-1.0, in_left), (1.0, ends_mm)):
+        off_mm = p.calibration_focal * points * [1.0, 1.0, 0.0]
+        off_px = sign * off_mm[:, :1] / mm_a_px[:, None]
+        moves.append(0.5 * off_mm + sight_mm * off_px)
+    px = p.calibration_px
+    by_focal = sum(np.einsum("mi,mj->mij", move, move) for move in moves)
+    return by_focal + _shifted(px, (0.5 * px, 0.0), ends_mm, calibration)
+
+
+def _shifted(
+    disparity_px: float, across_px: tuple[float, float], ends_mm: Array, calibration: Calibration
+) -> Array:
+    """(m, 3, 3) mm^2 of ends that are off by a disparity, along the line of sight, and across it by
+    columns (half of the disparity, since either camera may be off) and rows.
+    """
+    sight_mm, mm_a_px = _sights(ends_mm, calibration)
+    along = disparity_px * sight_mm
+    across = np.diag([*np.square(across_px), 0.0])
+    return np.einsum("mi,mj->mij", along, along) + (mm_a_px**2)[:, None, None] * across
+
+
+def _sights(ends_mm: Array, calibration: Calibration) -> tuple[Array, Array]:
+    """How far ends (m, 3) move with a px of disparity (m, 3), and mm a px (m,)."""
     depth = ends_mm[:, 2]
     mm_a_px = depth / calibration.right.fc[0]
-    shown = max(found.disparity_px - p.thermal_noise_px / found.ratio, 0.0)
-    disparity = np.hypot(shown, p.calibration_px if calibration.covariance is None else 0.0)
-    between = 0.5 * calibration.right_from_left.T
-    sight = (ends_mm - between) / depth[:, None]
-    sight_a_px = sight * (mm_a_px * depth / calibration.baseline_mm)[:, None]
-    along = sight_a_px * disparity
-    columns = np.hypot(0.5 * disparity, found.swell_px)
-    across = np.diag([columns**2, (0.5 * np.nan_to_num(found.rows_px)) ** 2, 0.0])
-    moves = [along]
-    if calibration.covariance is None:  # pixels are off by a share of their distance from the axis
-        in_left = calibration.right_from_left.inverse().apply(ends_mm)
-        for sign, points in ((-1.0, in_left), (1.0, ends_mm)):
-            off_mm = p.calibration_focal * points * [1.0, 1.0, 0.0]
-            off_px = sign * off_mm[:, :1] / mm_a_px[:, None]
-            moves.append(0.5 * off_mm + sight_a_px * off_px)
-    total = sum(np.einsum("mi,mj->mij", move, move) for move in moves)
-    return np.asarray(total + (mm_a_px**2)[:, None, None] * across)
+    sight = (ends_mm - 0.5 * calibration.right_from_left.T) / depth[:, None]
+    return sight * (mm_a_px * depth / calibration.baseline_mm)[:, None], mm_a_px

@@ -36,6 +36,7 @@ class Prior:
     height_sd: float = 0.1
     length_mm: float = 72.0  # as far as a side is looked at
     udder: int = 4  # teats; no more are given
+    within_mm: float = 5.0  # of its place a cup finds an end; one that may be farther off is named
     radii_mm: tuple[float, float] = (7.5, 15.0)
     most_lean_deg: float = 27.0
     depths_mm: tuple[float, float] = (450.0, 2000.0)  # and where the fields of view overlap
