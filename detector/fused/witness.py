@@ -215,7 +215,7 @@ def unstated_covariances(ends_mm: Array, calibration: Calibration, p: Parameters
         moves.append(0.5 * off_mm + sight_mm * off_px)
     px = p.calibration_px
     by_focal = sum(np.einsum("mi,mj->mij", move, move) for move in moves)
-    return by_focal + _shifted(px, (0.5 * px, 0.0), ends_mm, calibration)
+    return np.asarray(by_focal + _shifted(px, (0.5 * px, 0.0), ends_mm, calibration))
 
 
 def _shifted(
@@ -227,7 +227,7 @@ def _shifted(
     sight_mm, mm_a_px = _sights(ends_mm, calibration)
     along = disparity_px * sight_mm
     across = np.diag([*np.square(across_px), 0.0])
-    return np.einsum("mi,mj->mij", along, along) + (mm_a_px**2)[:, None, None] * across
+    return np.asarray(np.einsum("mi,mj->mij", along, along) + (mm_a_px**2)[:, None, None] * across)
 
 
 def _sights(ends_mm: Array, calibration: Calibration) -> tuple[Array, Array]:
