@@ -38,8 +38,7 @@ from bench.rig.arm_files import (
     verification_text,
 )
 from bench.rig.leaving import to_stderr
-from bench.rig.model import Arm as ArmTable
-from bench.rig.model import Baud
+from bench.rig.model import ArmTable, Baud
 from bench.scoring.decisions import Verdict
 from bench.scoring.stated_u import StatedCheck, refuted
 from instruments.captures.capture import CaptureFile

@@ -24,10 +24,10 @@ from bench.config import ConfigError, check_within
 from bench.rig.arm_files import (
     APART_MM,
     TOUCHES,
-    FrameError,
     LengthTest,
     LocationTest,
     TableFrame,
+    TableFrameError,
     TouchedPoint,
     Triple,
     Verification,
@@ -35,8 +35,7 @@ from bench.rig.arm_files import (
     swing_text,
     world_from_arm,
 )
-from bench.rig.model import Arm as ArmTable
-from bench.rig.model import Baud, SafetyLimits
+from bench.rig.model import ArmTable, Baud, SafetyLimits
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.reconnecting import Reconnecting
 from bench.rig.urls import EMULATED, arm_url
@@ -270,7 +269,7 @@ def _frame(
         try:
             world_from_arm([origin.arm_mm, on_x.arm_mm, in_plane.arm_mm])
             break
-        except FrameError as error:
+        except TableFrameError as error:
             session.say(f"{error}. Once more, the second and the third point.")
     points = [origin, on_x, in_plane]
     for number, place in enumerate(checks):

@@ -57,7 +57,7 @@ MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
 IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
-class Record:
+class GuardianRecord:
     """What the guardian writes down, at ``path``: one state at a time, from any thread."""
 
     def __init__(self, path: Path, facts: dict[str, Any]) -> None:
@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     facts |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
     # of a stage alone there is no standby
     facts |= {"standby": False, "tries": 0, "error": "not tried yet"} if bath else {}
-    record = Record(given.record, facts)
+    record = GuardianRecord(given.record, facts)
     lock.acts()
     end_bench = partial(_end, watched, record) if cause == "hung" else None
     with _handed_over(lock, record):
@@ -203,7 +203,7 @@ def _tell_bench(echo: int, line: str) -> None:
 
 
 @contextlib.contextmanager
-def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
+def _handed_over(lock: BathLock, record: GuardianRecord) -> Iterator[None]:
     """What is done within ends, and this process, once another guardian waits for the bath."""
     over = threading.Event()
 
@@ -263,7 +263,7 @@ def _raise_priority() -> dict[str, Any]:
 
 
 def _make_safe(
-    bath: AnyBath, clock: RealClock, record: Record, end_bench: Callable[[], None] | None
+    bath: AnyBath, clock: RealClock, record: GuardianRecord, end_bench: Callable[[], None] | None
 ) -> bool:
     """Standby, tried for GIVE_UP_S. ``end_bench`` as in `retried`."""
 
@@ -278,7 +278,7 @@ def _make_safe(
     return retried(stand_by, clock, GIVE_UP_S, note, end_bench)
 
 
-def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: float) -> None:
+def _run_pump_on(bath: AnyBath, clock: RealClock, record: GuardianRecord, overrun_s: float) -> None:
     """Let the pump carry off the heater's heat, then stop it, unless the bath is started again."""
     try:
         bath.set(PUMP, ON)
@@ -291,7 +291,7 @@ def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: flo
         record.add(pump=f"was left as it was: {error}")
 
 
-def _end(bench: WatchedBench, record: Record) -> None:
+def _end(bench: WatchedBench, record: GuardianRecord) -> None:
     """End a bench that hangs and holds the port; its record is whole at every moment."""
     record.add(killed=bench.end())
 

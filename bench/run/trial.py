@@ -21,7 +21,7 @@ from bench.results.cameras_agree import where_seen
 from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import CAPTURE_S, FrameTaker
-from bench.rig.model import Stage as StageSettings
+from bench.rig.model import StageTable
 from bench.rig.move_check import MoveCheck
 from bench.rig.reconnecting import diagnosis
 from bench.run.cameras_so_far import CamerasSoFar
@@ -30,7 +30,7 @@ from bench.run.events import RunState
 from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
-from bench.safety.stability import State
+from bench.safety.stability import BathState
 from bench.script.model import Rules
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, CarryState, fixed_key, resumed
@@ -119,7 +119,7 @@ def choose_truth(
 def _registration(
     ctx: RunContext,
     stage: Stage,
-    settings: StageSettings,
+    settings: StageTable,
     toucher: Toucher,
     so_far: Registering,
 ) -> Registration:
@@ -141,7 +141,7 @@ def _registration(
 def _made(
     ctx: RunContext,
     stage: Stage,
-    settings: StageSettings,
+    settings: StageTable,
     toucher: Toucher,
     so_far: Registering,
 ) -> Registration:
@@ -426,7 +426,7 @@ class TrialRun:
             raise NoTruthError("truth", why, hint="Is the rig's calibration of this table's frame?")
 
     def _stable(self) -> bool:
-        return self.ctx.watch.state == State.STABLE
+        return self.ctx.watch.state == BathState.STABLE
 
     def _look_at_teats(
         self, trial: PlannedTrial, frames: FrameSet, ends: Sequence[TrueEnd], bath_c: float

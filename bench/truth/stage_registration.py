@@ -10,7 +10,7 @@ from math import hypot
 
 import numpy as np
 
-from bench.rig.model import Stage as StageSettings
+from bench.rig.model import StageTable
 from bench.truth.registration import Registration, StageAccuracy, Station
 from bench.truth.touching import Ends, EndTouches, Toucher, end_u_mm
 from bench.truth.uncertainty import Triple, triple
@@ -54,7 +54,7 @@ class Registering:
 
 def register(
     stage: Stage,
-    settings: StageSettings,
+    settings: StageTable,
     toucher: Toucher,
     so_far: Registering,
     phantom: Phantom,

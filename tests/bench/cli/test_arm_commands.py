@@ -17,7 +17,7 @@ import pytest
 
 from bench.calibrate.simulated_arm import PLACED, SimulatedArm, Step
 from bench.rig.arm_files import load_frame, load_verification
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
 from tests.bench.calibrate.arm_terminal import answer, at_terminal
@@ -233,7 +233,7 @@ def test_the_pieces_of_files_in_the_labs_page_are_right() -> None:
     blocks = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", guide, re.DOTALL)]
     (script,) = (block for block in blocks if "requirements" in block)
     rigs = [block["arm"] for block in blocks if "arm" in block]
-    assert [Arm.model_validate(rig).accuracy_mm for rig in rigs] == [0.03]
+    assert [ArmTable.model_validate(rig).accuracy_mm for rig in rigs] == [0.03]
     (rule,) = script["requirements"]
     note = ArmRequirement.model_validate(rule)
     left_out = set(re.findall(r"^# (\w+_limit_mm) = ", guide, re.MULTILINE))

@@ -38,8 +38,7 @@ from bench.rig.arm_files import (
 )
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, load_rig
-from bench.rig.model import ROUNDING_MM, EmulatedStage
-from bench.rig.model import Stage as StageTable
+from bench.rig.model import ROUNDING_MM, EmulatedStage, StageTable
 from bench.run.start import run_queue
 from bench.script.model import load_script
 from bench.truth.touching import TipReader, Toucher

@@ -17,7 +17,7 @@ if sys.platform == "win32":
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.model import Bath as BathTable
+from bench.rig.model import BathTable
 from bench.rig.opening import open_instruments, rig_of
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import SHIPPED, LineProfile, load_profile
