@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from bench.report.calibration import PageOf
     from detector import Calibration, Part, Record
 
-CHECK_VIEWS, SHOWN = 5, 3  # views of a check; pictures that are left out
+CHECK_VIEWS = 5
+SHOWN = 3  # of the pictures that are left out
 say = show  # for the person at the rig, while it is worked with
 FOLDERS = "folders of pictures (FRAMES)"
 

@@ -339,7 +339,9 @@ def _nothing(why: str) -> Detection:
 
 
 class _ReadOnlyFrames:
-    """A frame set for one detector: read-only, so that it can't change what others see."""
+    """A frame set for one detector: read-only, and copied, since a library in C does not ask. So it
+    can't change what others see and what is stored.
+    """
 
     def __init__(self, frames: Frames) -> None:
         self.left, self.right = _fixed(frames.left), _fixed(frames.right)
@@ -348,7 +350,7 @@ class _ReadOnlyFrames:
 
 
 def _fixed(picture: Any) -> Any:
-    view = None if picture is None else picture.view()
-    if view is not None:
-        view.setflags(write=False)
-    return view
+    own = None if picture is None else picture.copy()
+    if own is not None:
+        own.setflags(write=False)
+    return own

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import builtins
+import ctypes
 import json
 import os
 import signal
@@ -294,6 +295,37 @@ def test_no_detector_can_change_the_pictures_under_the_others() -> None:
     assert "read-only" in str(answer.detection.reason)
     assert not FRAMES.left.any()
     FRAMES.left[0, 0] = 0  # the bench itself may
+
+
+@pytest.mark.parametrize("part", ["left", "right", "thermal", "amplitude"])
+@pytest.mark.parametrize("by", ["memory", "base", "flag"])
+def test_no_library_of_a_detector_can_change_what_is_stored(part: str, by: str) -> None:
+    """As torch.from_numpy does: it gives memory that can be written to, whatever NumPy's flag."""
+    shape = (4, 6)
+    frames = FrameSet(
+        *(np.zeros(shape, np.uint8) for _ in range(3)),
+        **{name: np.full(shape, 30_000, np.uint16) for name in ("thermal_ck", "depth_dmm")},
+        amplitude=np.zeros(shape, np.uint16),
+    )
+    before = {name: of.copy() for name, of in frames.pictures.items()}
+
+    class Writer(Scripted):
+        def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+            picture = getattr(frames, part)
+            if by == "memory":
+                ctypes.memset(picture.ctypes.data, 255, picture.nbytes)
+            elif by == "base":
+                owner = picture if picture.base is None else picture.base
+                owner.setflags(write=True)
+                owner[...] = 255
+            else:
+                picture.setflags(write=True)
+                picture[:] = 255
+            return Detection()
+
+    assert examine(Writer(answered()), frames, CALIBRATION).outcome is Outcome.ANSWERED
+    assert all(np.array_equal(frames.pictures[name], of) for name, of in before.items())
+    assert len(before) >= 5
 
 
 def test_a_detector_changes_nothing_of_the_benchs_process(
