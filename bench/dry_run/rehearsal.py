@@ -129,7 +129,7 @@ class PicturelessStore(Store):
         return []
 
 
-class Course:
+class RehearsalProgress:
     """The progress of a rehearsal; ``shown`` gets how many trials have begun, of how many."""
 
     def __init__(self, planned: Sequence[PlannedTrial], shown: Callable[[int, int], None]) -> None:
@@ -163,7 +163,7 @@ def rehearse(
 ) -> Rehearsal:
     """Run ``script`` on the twin of ``rig``. Raises NoTwinError, KeyboardInterrupt."""
     clock, twin_rig, url = VirtualClock(), twin_of(rig, script, stage), rig.rig.operator.url
-    course = Course(script.planned, shown)
+    course = RehearsalProgress(script.planned, shown)
     events = Events(course)
     with TemporaryDirectory(prefix="teatbench-dry-run-") as folder:
         run = Path(folder) / "run"
@@ -176,7 +176,7 @@ def rehearse(
         ):
             store.fact("detectors", [])
             cameras = StandInCameras(twin, twin_rig, events, script.planned, detectors, course)
-            hands = ReachingHands(
+            hands = ReachOperator(
                 twin, twin_rig.rig.emulation.arm_placed, events, leans=url in PEOPLE
             )
             table = twin_rig.rig.cameras.model_copy(update={"checks": LENIENT})
@@ -370,7 +370,7 @@ class StandInCameras:
         events: Events,
         planned: Sequence[PlannedTrial],
         detectors: Sequence[Detector],
-        course: Course,
+        course: RehearsalProgress,
     ) -> None:
         c = rig.calibration
         self._cameras: OpenCameras = twin.cameras
@@ -415,7 +415,7 @@ class StandInCameras:
                 self._events.event("detector", f"{detector.name}: {answer.detection.reason}")
 
 
-class ReachingHands:
+class ReachOperator:
     """The operator of ``twin``, who checks the arm's reach first: an emulated arm that is pulled
     too far hangs up, as if it had lost its cable. A person ``leans`` the stylus where that helps.
     """

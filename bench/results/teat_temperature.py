@@ -45,7 +45,7 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class TemperatureInputs:
     """What the rig file says: the room, and the sensors' standard uncertainties."""
 
     room_c: float = 20.0
@@ -54,7 +54,7 @@ class Figures:
 
 
 def surface(
-    bath_c: Sequence[float], external_c: Sequence[float], figures: Figures
+    bath_c: Sequence[float], external_c: Sequence[float], figures: TemperatureInputs
 ) -> Surface | None:
     """From a sensor at the phantom if there is one, else from the bath's; None without either."""
     readings = external_c or bath_c

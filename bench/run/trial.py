@@ -41,7 +41,7 @@ from bench.truth.registration import (
     registration_from_facts,
     write_registration,
 )
-from bench.truth.stage_registration import Registering, around, ends_of, register, stands_at
+from bench.truth.stage_registration import PartialRegistration, around, ends_of, register, stands_at
 from bench.truth.touching import (
     ASTRAY_MM,
     AstrayError,
@@ -96,7 +96,7 @@ def choose_truth(
         return TouchedTruth(toucher, lambda: None if stage is None else stands_at(stage))
     if stage is None or settings is None:
         raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
-    known, so_far = registration_from_facts(before.facts) if before else None, Registering()
+    known, so_far = registration_from_facts(before.facts) if before else None, PartialRegistration()
 
     def report(kind: str, text: str) -> None:
         ctx.event(kind, text)
@@ -121,7 +121,7 @@ def _registration(
     stage: Stage,
     settings: StageTable,
     toucher: Toucher,
-    so_far: Registering,
+    so_far: PartialRegistration,
 ) -> Registration:
     """The script's registration, from its file or made now, as a fact of the run. Raises LimitError
     where the file's doesn't hold, DeviceError where the touches give none.
@@ -143,7 +143,7 @@ def _made(
     stage: Stage,
     settings: StageTable,
     toucher: Toucher,
-    so_far: Registering,
+    so_far: PartialRegistration,
 ) -> Registration:
     planned, table = ctx.script.planned, ctx.script.script.truth
     phantom, teat = planned[0].phantom, table.registration_teat

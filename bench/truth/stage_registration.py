@@ -45,7 +45,7 @@ def around(poses: Iterable[PlatePose], least_mm: float = 150.0) -> tuple[PlatePo
 
 
 @dataclass(slots=True)
-class Registering:
+class PartialRegistration:
     """What a registration has so far: its stations, and the touches of the next one."""
 
     stations: list[Station] = field(default_factory=list)
@@ -56,7 +56,7 @@ def register(
     stage: Stage,
     settings: StageTable,
     toucher: Toucher,
-    so_far: Registering,
+    so_far: PartialRegistration,
     phantom: Phantom,
     poses: Sequence[PlatePose],
     *,

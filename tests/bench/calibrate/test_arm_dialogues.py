@@ -20,7 +20,7 @@ from bench.calibrate.arm import (
     touch_frame,
     verify,
 )
-from bench.calibrate.simulated_arm import PLACED, Step
+from bench.calibrate.simulated_arm import PLACED, TouchStep
 from bench.results.stated_arm import check_verification, stated_fact
 from bench.rig.arm_files import (
     LengthTest,
@@ -131,7 +131,7 @@ def test_points_too_near_are_asked_for_again() -> None:
     with emulated() as (arm, simulated):
         slips = iter([True])
 
-        def instead(step: Step) -> Step:
+        def instead(step: TouchStep) -> TouchStep:
             return (
                 dataclasses.replace(step, what="origin")
                 if step.what == "x axis" and next(slips, False)
@@ -163,7 +163,7 @@ def test_a_moving_arm_is_read_again() -> None:
 def test_a_frame_that_turned_over_is_asked_about() -> None:
     with emulated() as (arm, simulated):
 
-        def instead(step: Step) -> Step:
+        def instead(step: TouchStep) -> TouchStep:
             return (
                 dataclasses.replace(step, what="check", world_mm=(100.0, -110.0, 0.0))
                 if step.what == "plane"

@@ -302,10 +302,12 @@ def test_no_detector_can_change_the_pictures_under_the_others() -> None:
 def test_no_library_of_a_detector_can_change_what_is_stored(part: str, by: str) -> None:
     """As torch.from_numpy does: it gives memory that can be written to, whatever NumPy's flag."""
     shape = (4, 6)
+    grey, fine = (np.zeros(shape, kind) for kind in (np.uint8, np.uint16))
     frames = FrameSet(
-        *(np.zeros(shape, np.uint8) for _ in range(3)),
-        **{name: np.full(shape, 30_000, np.uint16) for name in ("thermal_ck", "depth_dmm")},
-        amplitude=np.zeros(shape, np.uint16),
+        *(grey.copy(), grey.copy(), grey.copy()),
+        thermal_ck=fine + np.uint16(30_000),
+        depth_dmm=fine + np.uint16(9_000),
+        amplitude=fine.copy(),
     )
     before = {name: of.copy() for name, of in frames.pictures.items()}
 

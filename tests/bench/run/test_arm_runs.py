@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench.calibrate.arm import VerificationPlan, touch_frame, verify
-from bench.calibrate.simulated_arm import SimulatedArm, Step
+from bench.calibrate.simulated_arm import SimulatedArm, TouchStep
 from bench.config import write_file
 from bench.record.reader import RunRecord, read_run
 from bench.results.stated_arm import unmoved_mm
@@ -191,7 +191,7 @@ class Checker:
 
     def ask(self, request: Request) -> None:
         if isinstance(request, CheckPoint):
-            self._trying.go(Step("middle", request.touch - 1, ""))
+            self._trying.go(TouchStep("middle", request.touch - 1, ""))
 
 
 def checked(
@@ -213,7 +213,7 @@ def test_an_arm_that_was_not_homed_is_found_out() -> None:
     """Switched on with the stylus off its peg, and a person who says that it was on."""
 
     def off_its_peg(trying: SimulatedArm) -> None:
-        trying.go(Step("near", 0, ""))
+        trying.go(TouchStep("near", 0, ""))
         trying.emulator.power_cycle()
 
     good = checked(lambda trying: None)
