@@ -1,6 +1,4 @@
-"""One instrument alone, of a rig or by its URL. `VERBS` has how each command opens it, and what is
-then done with it; what asks a person for one touch after the other is in `arm`.
-"""
+"""One instrument alone, of a rig or at a port: `VERBS` has how it is opened, and what is done."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ import re
 import sys
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import asdict
 from functools import partial
 from itertools import takewhile
@@ -29,7 +27,6 @@ _STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
 
 
 def arm_at(given: argparse.Namespace) -> dict[str, Any]:
-    """How its port is opened."""
     return {"baud": given.baud, "answer_s": given.answer_s, "capture": given.capture}
 
 
@@ -38,16 +35,12 @@ def _arm(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Arm]:
 
 
 def _bath(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Any]:
+    how["allow_inferred"] = getattr(given, "allow_inferred", False)
     return bench.open_bath(given.port, given.profile or "", capture=given.capture, **how)
 
 
 def _cameras(given: argparse.Namespace) -> AbstractContextManager[bench.OpenCameras]:
     return bench.open_cameras(given.sources)
-
-
-def _bath_to_set(given: argparse.Namespace) -> AbstractContextManager[Any]:
-    """A bath that runs is to go on, at another temperature."""
-    return _bath(given, allow_inferred=given.allow_inferred, leave_running=True)
 
 
 @contextmanager
@@ -72,12 +65,6 @@ def verb(given: argparse.Namespace) -> int | None:
         return work(instrument, given)
 
 
-def _in_time(given: argparse.Namespace, clock: Clock) -> Callable[[object], bool]:
-    """Whether ``--seconds`` have not passed yet."""
-    end_s = clock.now() + (given.seconds or math.inf)
-    return lambda _: clock.now() < end_s
-
-
 def _home_arm(arm: Arm, _: argparse.Namespace) -> None:
     tip = mm(arm.read().tip_mm)
     say(f"Homed. The tip stands at {tip} in the arm's frame. Leave the arm switched on.")
@@ -85,26 +72,27 @@ def _home_arm(arm: Arm, _: argparse.Namespace) -> None:
 
 def _watch_arm(arm: Arm, given: argparse.Namespace) -> int:
     live = sys.stdout.isatty()
-    with (
-        closing(RealClock()) as clock,
-        suppress(KeyboardInterrupt),
-        closing(bench.watch_arm(arm)) as views,
-    ):
+    with closing(RealClock()) as clock, closing(bench.watch_arm(arm)) as views:
+        end_s = clock.now() + (given.seconds or math.inf)
         try:
-            for seen in takewhile(_in_time(given, clock), views):
-                each = (f"{one} {'DOWN' if down else 'up'}" for one, down in seen.pedals.items())
-                (x, y, z), pedals = seen.tip_mm, ", ".join(each) or "none are known"
-                print(
-                    f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
-                    f" {seen.packets_per_s:6.1f} packets/s   damaged: {seen.damaged}",
-                    end="\r" if live else "\n",
-                    flush=True,
-                )
+            for seen in takewhile(lambda _: clock.now() < end_s, views):
+                print(_arm_line(seen), end="\r" if live else "\n", flush=True)
         except LimitError as error:
             return complain(str(error), CODES.wrong_use)
+        except KeyboardInterrupt:  # the way to end it
+            pass
     if live:
         print(flush=True)
     return CODES.met
+
+
+def _arm_line(seen: bench.ArmView) -> str:
+    each = (f"{one} {'DOWN' if down else 'up'}" for one, down in seen.pedals.items())
+    (x, y, z), pedals = seen.tip_mm, ", ".join(each) or "none are known"
+    return (
+        f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
+        f" {seen.packets_per_s:6.1f} packets/s   damaged: {seen.damaged}"
+    )
 
 
 def _read_bath(bath: Any, given: argparse.Namespace) -> None:
@@ -157,9 +145,10 @@ def _watch_bath(bath: Any, given: argparse.Namespace) -> None:
     from bench.cli.terminal import Terminal
 
     with closing(RealClock()) as clock:
+        end_s = clock.now() + (given.seconds or math.inf)
         views = bench.watch_bath(bath, PERIOD_S, clock=clock)
         try:
-            show_views(takewhile(_in_time(given, clock), views), Terminal())
+            show_views(takewhile(lambda _: clock.now() < end_s, views), Terminal())
         except KeyboardInterrupt:
             say("left as it is; 'teatbench bath standby' switches the heater off")
 
@@ -336,12 +325,13 @@ def _recover_stage(stage: Stage, _: argparse.Namespace) -> None:
 Opener = Callable[[argparse.Namespace], AbstractContextManager[Any]]
 Work = Callable[[Any, argparse.Namespace], int | None]
 _unidentified = partial(_bath, identify=False)
+_left_running = partial(_bath, leave_running=True)  # it goes on, at another temperature
 VERBS: Mapping[str, tuple[Opener, Work]] = {
     "arm home": (lambda given: _arm(given, on_peg=given.on_peg), _home_arm),
     "arm watch": (lambda given: _arm(given, homed=given.homed, ask=True), _watch_arm),
     "bath read": (_bath, _read_bath),
     "bath learn": (_unidentified, _learn_bath),
-    "bath set": (_bath_to_set, _set_bath),
+    "bath set": (_left_running, _set_bath),
     "bath watch": (_bath, _watch_bath),
     "bath standby": (_unidentified, _stand_by),
     "camera show": (_cameras, _show_cameras),

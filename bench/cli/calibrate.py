@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from bench.report.calibration import PageOf
     from detector import Calibration, Part, Record
 
-CHECK_VIEWS = 5
-SHOWN = 3  # of the pictures that are left out
+CHECK_VIEWS, SHOWN = 5, 3
 say = show  # for the person at the rig, while it is worked with
 FOLDERS = "folders of pictures (FRAMES)"
 

@@ -300,7 +300,11 @@ class TrialRun:
         self._homed_again &= kept_before > 0
         try:
             if self._homed_again:
-                self._count_only_if_homed_alike(trial.id)
+                if why_not := self.check_homing():  # not shown to be that of before
+                    so_far.clear()
+                    said = f"{trial.id}: those kept so far are dropped: {why_not}"
+                    self.ctx.event("touches", said)
+                self._homed_again = False
             self._run(trial)
         except BaseException as why:
             lost, how = diagnosis(why) if isinstance(why, InstrumentError) else ("", "")
@@ -313,13 +317,6 @@ class TrialRun:
                 self.ctx.event("touches", f"{trial.id}: {count} so far are kept")
             raise
         so_far.clear()
-
-    def _count_only_if_homed_alike(self, trial_id: str) -> None:
-        """Drop the touches so far where the arm's homing is not shown to be that of before."""
-        if why_not := self.check_homing():
-            self._so_far.clear()
-            self.ctx.event("touches", f"{trial_id}: those kept so far are dropped: {why_not}")
-        self._homed_again = False
 
     def _run(self, trial: PlannedTrial) -> None:
         ctx, there = self.ctx, shown(trial, self._axes)
