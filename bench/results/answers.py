@@ -151,7 +151,10 @@ def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
     """The stages that the record can hold, and a note of how many it can't."""
     stages = trace if isinstance(trace, tuple | list) else (trace,)
     kept = {
-        stage.name.casefold().replace(" ", "-"): stage
+        # copies, as the detector may fill its buffers again
+        stage.name.casefold().replace(" ", "-"): Stage(
+            stage.name, {key: value.copy() for key, value in stage.data.items()}
+        )
         for stage in reversed(stages[:MOST_STAGES])
         if _holds(stage)
     }

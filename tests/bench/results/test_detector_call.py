@@ -318,6 +318,15 @@ def test_no_library_of_a_detector_can_change_what_is_stored(part: str, by_flag: 
     assert (depth == 1).all()
 
 
+def test_an_answer_stays_as_it_is_where_its_detector_fills_its_buffers_again() -> None:
+    mask, point = np.ones((4, 4), dtype=bool), np.zeros(3)
+    said = Detection((Teat(point),), 0, None, (Stage("seen", {"mask": mask}),))
+    first = asked(lambda: said)
+    mask[:], point[:] = False, 9.0
+    assert first.detection.trace[0].data["mask"].all()
+    assert not first.detection.teats[0].world_mm.any()
+
+
 def test_a_detector_changes_nothing_of_the_benchs_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
