@@ -22,7 +22,6 @@ from bench.config import ConfigError
 from instruments import Arm, Clock, FrameError, InstrumentError, LimitError, RealClock, Stage
 
 AXES = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
-PERIOD_S = 1.0  # between two readings of a bath that is watched
 _STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
 
 
@@ -141,7 +140,7 @@ def _set_bath(bath: Any, given: argparse.Namespace) -> int:
 
 
 def _watch_bath(bath: Any, given: argparse.Namespace) -> None:
-    from bench.cli.bath_plot import show_views
+    from bench.cli.bath_plot import PERIOD_S, show_views
     from bench.cli.terminal import Terminal
 
     with closing(RealClock()) as clock:

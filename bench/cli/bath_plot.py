@@ -14,9 +14,9 @@ from rich.live import Live
 from rich.text import Text
 
 import bench
-from bench.cli.alone import PERIOD_S
 from instruments import BathReading
 
+PERIOD_S = 1.0  # between two readings
 KEPT_S = 3600.0
 WIDTH, HEIGHT = 72, 14
 LEAST_SPAN_K = 0.2  # or noise would fill the plot
