@@ -401,5 +401,5 @@ def read_touch(session: ArmSession, step: TouchStep) -> Reading:
         return reading
 
 
-def mm(point: Iterable[float], digits: int = 1) -> str:
-    return ", ".join(f"{v:.{digits}f}" for v in point) + " mm"
+def mm(point: Iterable[float]) -> str:
+    return ", ".join(f"{v:.1f}" for v in point) + " mm"

@@ -29,7 +29,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +170,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     facts |= {"standby": False, "tries": 0, "error": "not tried yet"} if bath else {}
     record = GuardianRecord(given.record, facts)
     lock.acts()
-    end_bench = partial(_end, watched, record) if cause == "hung" else None
+    # one that hangs and holds the port; its record is whole at every moment
+    end_bench = (lambda: record.add(killed=watched.end())) if cause == "hung" else None
     with _handed_over(lock, record):
         # a bench that could not reach its bath has seen to its stage itself
         if stop and (cause != "gave up" or bath is None):
@@ -289,11 +289,6 @@ def _run_pump_on(bath: AnyBath, clock: RealClock, record: GuardianRecord, overru
         record.add(pump=f"ran on for {overrun_s:g} s and is off")
     except InstrumentError as error:
         record.add(pump=f"was left as it was: {error}")
-
-
-def _end(bench: WatchedBench, record: GuardianRecord) -> None:
-    """End a bench that hangs and holds the port; its record is whole at every moment."""
-    record.add(killed=bench.end())
 
 
 def _text(when: datetime) -> str:
