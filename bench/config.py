@@ -42,7 +42,7 @@ KeyPath = tuple[str | int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FilePlace:
     """``line`` from 1; where key and value are, in columns from 0."""
 
     line: int
@@ -51,26 +51,26 @@ class Place:
     value_start: int
 
 
-def find_places(text: str) -> Mapping[KeyPath, Place]:
+def find_places(text: str) -> Mapping[KeyPath, FilePlace]:
     """The place of each table header and key in ``text``, which must be valid TOML."""
-    places: dict[KeyPath, Place] = {(): Place(1, 0, 0, 0)}
+    places: dict[KeyPath, FilePlace] = {(): FilePlace(1, 0, 0, 0)}
     table: KeyPath = ()
     counts: dict[KeyPath, int] = {}
     for number, line in _logical_lines(text):
         header = _HEADER.match(line)
         if header:
             table = _open_table(_split(header[2]), is_array=header[1] == "[[", counts=counts)
-            place = Place(number, header.start(2), header.end(2), header.start(2))
+            place = FilePlace(number, header.start(2), header.end(2), header.start(2))
             places.setdefault(table, place)
             if isinstance(table[-1], int):
                 places.setdefault(table[:-1], place)
         elif key := _KEY.match(line):
             path = table + _split(key[1])
-            places[path] = Place(number, key.start(1), key.end(1), key.end())
+            places[path] = FilePlace(number, key.start(1), key.end(1), key.end())
     return places
 
 
-def nearest(places: Mapping[KeyPath, Place], path: KeyPath) -> tuple[Place, bool]:
+def nearest(places: Mapping[KeyPath, FilePlace], path: KeyPath) -> tuple[FilePlace, bool]:
     """The place of ``path``, or of what holds it; True when it is the exact one."""
     for length in range(len(path), -1, -1):
         if path[:length] in places:
@@ -106,7 +106,7 @@ def _logical_lines(text: str) -> Iterator[tuple[int, str]]:
             yield number, lines[number - 1]
 
 
-class Section(BaseModel):
+class FileTable(BaseModel):
     """A table that a person writes: no unknown keys, finite numbers, no changes."""
 
     model_config = ConfigDict(

@@ -64,7 +64,7 @@ class Place:
         return self.base + address(src, "image")
 
 
-class TrialPress:
+class TrialRenderer:
     """Draws of a trial what its own file shows of that trial alone."""
 
     def __init__(self, detectors: Sequence[str], glossary: Sequence[Term]) -> None:
@@ -89,14 +89,14 @@ def _outward(href: str) -> str:
     return address(href, "link")
 
 
-class Press:
+class Renderer:
     """Writes the files of one page."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._ids = {trial.id for trial in page.trials}
         self._places = places_of(page.detectors)
-        self._drawn = TrialPress(page.detectors, page.glossary)
+        self._drawn = TrialRenderer(page.detectors, page.glossary)
         self._style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
         for who in self._places.values():
             self._style += (
@@ -227,7 +227,7 @@ def _trial_of(row: Sequence[str | Cell]) -> str:
 
 def render(page: Page) -> str:
     """The HTML text of the page's own file."""
-    return Press(page).page(_own(page))
+    return Renderer(page).page(_own(page))
 
 
 def write_report(page: Page, folder: Path, more: Sequence[tuple[str, bytes]] = ()) -> Path:
@@ -244,9 +244,9 @@ def write_report(page: Page, folder: Path, more: Sequence[tuple[str, bytes]] = (
 def _written(page: Page, folder: Path) -> str:
     """All files of the page but its first, whose text is given back."""
     refuse_missing(page.files(), folder)
-    press = Press(page)
+    renderer = Renderer(page)
     place = _own(page)
-    whole = press.page(place)
+    whole = renderer.page(place)
     chapters = {f"{section.id}.html": section for section in page.sections if section.folded}
     for name in (*chapters, GLOSSARY, WHOLE):
         (folder / name).unlink(missing_ok=True)  # of a longer report that stood here
@@ -255,18 +255,18 @@ def _written(page: Page, folder: Path) -> str:
         (folder / TRIALS).mkdir(exist_ok=True)
         for number, trial in enumerate(page.trials):
             target = folder / TRIALS / f"{trial.id}.html"
-            replace_whole(target, press.trial(number, apart).encode())
+            replace_whole(target, renderer.trial(number, apart).encode())
     if not apart:
         return whole
     write_whole(folder / WHOLE, whole)
     for name, section in chapters.items():
         trials = place.trials if section.id == page.trials_in else ()
         there = replace(place, file=name, apart=apart, trials=trials)
-        write_whole(folder / name, press.chapter(there, section))
+        write_whole(folder / name, renderer.chapter(there, section))
     if page.glossary:
         there = replace(place, file=GLOSSARY, apart=apart, trials=())
-        write_whole(folder / GLOSSARY, press.chapter(there, None))
-    return press.page(replace(place, apart=apart, trials=()))
+        write_whole(folder / GLOSSARY, renderer.chapter(there, None))
+    return renderer.page(replace(place, apart=apart, trials=()))
 
 
 def _apart(page: Page) -> dict[str, str]:

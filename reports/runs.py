@@ -19,7 +19,7 @@ JUDGED = ("met", "not met", "inconclusive")
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class DetectorResult:
     """One detector in one run. ``verdict`` is the run's state where it is unfinished, "no verdict"
     where nothing was scored or the record is damaged; errors are None where nothing was found,
     ``false`` where no answer came.
@@ -78,7 +78,7 @@ class Run:
     kind: Kind
     ending: str
     status: Mapping[str, Any]
-    results: tuple[Result, ...]
+    results: tuple[DetectorResult, ...]
     damage: tuple[str, ...]
     report: str
     note: str
@@ -92,7 +92,7 @@ class Run:
         """``2026-11-22 14:05``."""
         return datetime.fromisoformat(self.started).strftime("%Y-%m-%d %H:%M")
 
-    def hint(self, result: Result) -> str:
+    def hint(self, result: DetectorResult) -> str:
         """What is shown on hovering over a step of a detector's history."""
         version = f" {result.version}" if result.version else ""
         return f"{self.date}, {result.detector}{version}: {result.verdict}. {result.text}"
@@ -116,9 +116,9 @@ class Runs:
     health: Mapping[str, Sequence[Figure]] = field(default_factory=dict)  # by rig
     warnings: Sequence[str] = ()
 
-    def histories(self) -> Mapping[tuple[str, str], Sequence[tuple[Run, Result]]]:
+    def histories(self) -> Mapping[tuple[str, str], Sequence[tuple[Run, DetectorResult]]]:
         """Detector and script with their runs, oldest first."""
-        found: dict[tuple[str, str], list[tuple[Run, Result]]] = {}
+        found: dict[tuple[str, str], list[tuple[Run, DetectorResult]]] = {}
         for run in reversed(self.runs):
             for result in run.results:
                 found.setdefault((result.detector, run.script), []).append((run, result))

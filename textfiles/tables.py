@@ -29,7 +29,7 @@ class TableError(TextError):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TextRow:
     """A row of a table: ``line`` of the file where it begins, and ``cells`` by head."""
 
     line: int
@@ -50,7 +50,7 @@ class TextTable:
     """``heads`` as they stand, and rows that have something in them."""
 
     heads: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[TextRow, ...]
 
 
 def read_table(
@@ -95,7 +95,7 @@ def _cells(lines: Sequence[str], mark: str, skipped: int) -> list[tuple[int, lis
     return rows
 
 
-def _row(line: int, cells: list[str], heads: list[str], between: str) -> Row:
+def _row(line: int, cells: list[str], heads: list[str], between: str) -> TextRow:
     if len(cells) != len(heads):
         what = "has another number of values than the first line has names"
         what += f": {len(cells)} between {between}, not {len(heads)}"
@@ -104,10 +104,10 @@ def _row(line: int, cells: list[str], heads: list[str], between: str) -> Row:
         raise TableError(line, f"{what}{hint if comma and len(cells) > len(heads) else ''}")
     if stray := next((c for c, h in zip(cells, heads, strict=True) if c and not h), None):
         raise TableError(line, f"{_shown(stray)} stands in a column without a name")
-    return Row(line, {head: cell for head, cell in zip(heads, cells, strict=True) if head})
+    return TextRow(line, {head: cell for head, cell in zip(heads, cells, strict=True) if head})
 
 
-def _refuse_mixed(rows: Sequence[Row], heads: Sequence[str]) -> None:
+def _refuse_mixed(rows: Sequence[TextRow], heads: Sequence[str]) -> None:
     """Raise TableError for a decimal comma beside a point: one may be a mark of thousands."""
     seen: dict[str, tuple[int, str]] = {}
     for row in rows:

@@ -17,7 +17,7 @@ from bench.arguments import lent
 from bench.calibrate.arm import VerificationPlan, limits_of, read_touch, today, verify
 from bench.calibrate.arm import open_arm as open_session
 from bench.calibrate.arm import touch_frame as touch_points_of_frame
-from bench.calibrate.simulated_arm import Step
+from bench.calibrate.simulated_arm import TouchStep
 from bench.config import ConfigError, check_within, several, write_file
 from bench.results.stated_arm import (
     check_verification,
@@ -38,8 +38,7 @@ from bench.rig.arm_files import (
     verification_text,
 )
 from bench.rig.leaving import to_stderr
-from bench.rig.model import Arm as ArmTable
-from bench.rig.model import Baud
+from bench.rig.model import ArmTable, Baud
 from bench.scoring.decisions import Verdict
 from bench.scoring.stated_u import StatedCheck, refuted
 from instruments.captures.capture import CaptureFile
@@ -155,7 +154,7 @@ def read_arm(
         arm, world_mm = session.arm, None
         if frame:
             found = load_frame(Path(frame), serial_number=arm.identity.serial_number)
-        step = Step("point", 0, "Touch the point that is to be read.")
+        step = TouchStep("point", 0, "Touch the point that is to be read.")
         seen = arm.read(packets) if arm.pedals else read_touch(session, step)
         if found:
             world_mm = found.world_from_arm.apply(seen.tip_mm)

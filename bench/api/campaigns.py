@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.campaign.plan import CampaignPlan, make_plan
 from bench.campaign.pool import Say
-from bench.campaign.run import Campaign, Status, executor, locked
+from bench.campaign.run import Campaign, CampaignStatus, executor, locked
 from bench.config import check_within
 from textfiles.bounds import COUNT
 
@@ -25,7 +25,7 @@ class CampaignResult:
     """
 
     campaign: Campaign
-    status: Status
+    status: CampaignStatus
     rates: tuple[FamilyRate, ...]
     intervals: tuple[tuple[float, float] | None, ...]
     aside: Mapping[str, str]
@@ -40,7 +40,7 @@ def run_campaign(
     *,
     workers: int | None = None,
     dask: str | None = None,
-    progress: Callable[[Status], None] = lambda _: None,
+    progress: Callable[[CampaignStatus], None] = lambda _: None,
     say: Say = lambda _: None,
 ) -> CampaignResult:
     """Run a campaign in the folder ``out``, or go on with it, and write its page: `teatbench

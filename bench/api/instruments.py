@@ -19,7 +19,7 @@ from bench.rig.leaving import to_stderr
 from bench.safety import latch
 from bench.safety.bath_monitor import RATE_S, seconds_to_stable
 from bench.safety.liveness import Liveness
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import BathState, StabilityGate
 from instruments.bath.access import RowAnswer
 from instruments.bath.driver import Bath as OwnBath
 from instruments.bath.interface import Bath
@@ -40,7 +40,7 @@ class BathView:
     reading: BathReading | None
     set_point_c: float
     started: bool
-    state: State
+    state: BathState
     stable_in_s: float | None
     reasons: tuple[str, ...]
     fault: str = ""

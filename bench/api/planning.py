@@ -10,7 +10,7 @@ from typing import Any
 from bench.api.runs import OUT, AnyScript, load_script
 from bench.api.shots import AnyRig, load_rig
 from bench.config import all_of, check_within, wrong_use
-from bench.dry_run.pose_checks import Finding, ScriptCheck, dry_run, stage_settings
+from bench.dry_run.pose_checks import PoseFault, ScriptCheck, dry_run, stage_settings
 from bench.dry_run.rehearsal import NoTwinError, rehearse
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import (
@@ -107,9 +107,9 @@ def check_script(
     known = {(one.trial, one.kind) for one in of_poses}
     again = rehearsal.findings if rehearsal else ()
     findings = (
-        *([Finding("the rig", "latched", str(latch))] if latch else []),
-        *(Finding("the rig", "refused", why) for why in unconfirmed(on, today)),
-        *(Finding("the rig", "calibration", why) for why in not_fresh(on, loaded, today)),
+        *([PoseFault("the rig", "latched", str(latch))] if latch else []),
+        *(PoseFault("the rig", "refused", why) for why in unconfirmed(on, today)),
+        *(PoseFault("the rig", "calibration", why) for why in not_fresh(on, loaded, today)),
         *of_poses,
         *(one for one in again if (one.trial, one.kind) not in known),
     )

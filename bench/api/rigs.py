@@ -25,7 +25,7 @@ from bench.safety.interlocks import Interlocks
 from bench.safety.latch import unconfirmed
 from bench.safety.liveness import Liveness
 from bench.safety.signals import no_lock_is_kept
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import BathState, StabilityGate
 from bench.script.detectors import refusals
 from bench.truth.stage_registration import ends_of
 from bench.truth.touching import Ends, EndTouches, SoFar, TipReader, Toucher
@@ -150,7 +150,7 @@ class OpenRig:
         if self._watch is None:
             raise LimitError("bath", "it was not heated by this program", hint="Call heat().")
         end_s = self.clock.now() + timeout_s
-        while self._watch.state is not State.STABLE:
+        while self._watch.state is not BathState.STABLE:
             if self.clock.now() > end_s:
                 why = f"not stable within {timeout_s:g} s: {self._watch.why_not_stable}"
                 raise DeviceError("bath", why, hint="Check level, lid and pump.")

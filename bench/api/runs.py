@@ -43,7 +43,7 @@ OUT = Path("runs")
 AnyScript = str | Path | LoadedScript | None
 
 
-class Quiet:
+class QuietProgress:
     """Shows what a person has to see at once, and nothing else."""
 
     def state(self, text: str) -> None: ...
@@ -154,7 +154,7 @@ def run_queue(
     from bench.run.start import RunOptions
     from bench.run.start import run_queue as started
 
-    shown, tested = progress or Quiet(), several("detectors", detectors)
+    shown, tested = progress or QuietProgress(), several("detectors", detectors)
     loaded, *found = all_of(
         lambda _: load_rig(rig),
         *(lambda to, one=one: load_script(one, to[0]) for one in several("scripts", scripts, 1)),
@@ -283,7 +283,7 @@ def resume_run(
     from bench.run.start import RunOptions
     from bench.run.start import resume_run as resumed
 
-    parts = _Parts(shown := progress or Quiet())
+    parts = _Parts(shown := progress or QuietProgress())
     how = RunOptions(capture=capture, typed=typed, begun=begun, between=parts.grow)
     with known([Path(folder)], damage) as there:
         urls = several("notify", notify) or rig_of_run(folder).rig.notify.urls
@@ -308,7 +308,7 @@ def score_recording(
     from bench.run.events import SafeProgress
     from bench.run.start import score_recording as scored
 
-    shown = SafeProgress(progress or Quiet())
+    shown = SafeProgress(progress or QuietProgress())
     folder = scored(Path(recording), Path(out), shown, several("detectors", detectors, 1))
     shown.state("writing the report")
     return write_report(folder, damage=())

@@ -39,7 +39,7 @@ from instruments.world.situations import SITUATIONS, situation
 from instruments.world.state import SceneState
 from textfiles.bounds import ABOVE_0, FROM_0
 
-Scene = str | Situation | SceneState
+AnyScene = str | Situation | SceneState
 load_rig = any_rig
 
 
@@ -78,7 +78,7 @@ def _cameras(path: Path, text: str, seed: int) -> tuple[LoadedRig, Renderer]:  #
 
 
 def draw(
-    scene: Scene,
+    scene: AnyScene,
     number: int = 0,
     *,
     rig: AnyRig = "emulated",

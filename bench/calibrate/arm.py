@@ -19,15 +19,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibrate.simulated_arm import SimulatedArm, Step
+from bench.calibrate.simulated_arm import SimulatedArm, TouchStep
 from bench.config import ConfigError, check_within
 from bench.rig.arm_files import (
     APART_MM,
     TOUCHES,
-    FrameError,
     LengthTest,
     LocationTest,
     TableFrame,
+    TableFrameError,
     TouchedPoint,
     Triple,
     Verification,
@@ -35,8 +35,7 @@ from bench.rig.arm_files import (
     swing_text,
     world_from_arm,
 )
-from bench.rig.model import Arm as ArmTable
-from bench.rig.model import Baud, SafetyLimits
+from bench.rig.model import ArmTable, Baud, SafetyLimits
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.reconnecting import Reconnecting
 from bench.rig.urls import EMULATED, arm_url
@@ -93,7 +92,7 @@ class ArmSession:
     def ask(self, text: str) -> None:
         self.operator.ask(Task(text))
 
-    def touch(self, step: Step) -> None:
+    def touch(self, step: TouchStep) -> None:
         """Something to be touched; the emulated hand goes there first."""
         if self.simulated:
             self.simulated.go(step)
@@ -238,9 +237,9 @@ def _frame(
     session: ArmSession, checks: Sequence[Triple | None], made: datetime, names: list[str]
 ) -> TableFrame:
     """``names`` gets those of the touched points. Raises _HomedElsewhereError, and as a touch."""
-    first: list[tuple[Step, Reading]] = []
+    first: list[tuple[TouchStep, Reading]] = []
 
-    def touched(step: Step, name: str) -> TouchedPoint:
+    def touched(step: TouchStep, name: str) -> TouchedPoint:
         homings, reading = session.homings, read_touch(session, step)
         if session.homings != homings and first:  # the origin is a point, not any of a line
             again, before = first[0]
@@ -255,29 +254,29 @@ def _frame(
         x, y, z = (float(v) for v in reading.tip_mm)
         return TouchedPoint(name, (x, y, z), float(reading.spread_mm), step.world_mm)
 
-    origin = touched(Step("origin", 0, "Touch the table's origin (world 0, 0, 0)."), "origin")
+    origin = touched(TouchStep("origin", 0, "Touch the table's origin (world 0, 0, 0)."), "origin")
     while True:
         text = (
             f"Touch a point on the x axis, on its positive side, at least {APART_MM:g} mm from the"
             " origin; further is better."
         )
-        on_x = touched(Step("x axis", 0, text), "x axis")
+        on_x = touched(TouchStep("x axis", 0, text), "x axis")
         text = (
             f"Touch a point of the table's plane on the side of positive y, at least {APART_MM:g}"
             " mm from the x axis; further is better."
         )
-        in_plane = touched(Step("plane", 0, text), "plane")
+        in_plane = touched(TouchStep("plane", 0, text), "plane")
         try:
             world_from_arm([origin.arm_mm, on_x.arm_mm, in_plane.arm_mm])
             break
-        except FrameError as error:
+        except TableFrameError as error:
             session.say(f"{error}. Once more, the second and the third point.")
     points = [origin, on_x, in_plane]
     for number, place in enumerate(checks):
         where = f"the point {mm(place)} (world)" if place else "another point of the table's plane,"
         where += "" if place else " well away from the three"
         text = f"Check point {number + 1} of {len(checks)}: touch {where}."
-        points.append(touched(Step("check", number, text, place), f"check {number + 1}"))
+        points.append(touched(TouchStep("check", number, text, place), f"check {number + 1}"))
     frame = TableFrame.from_touches(made, session.arm.identity.serial_number, points)
     if frame.hangs:
         session.ask(
@@ -336,8 +335,8 @@ def _end(
 ) -> tuple[Floats, Floats | None]:
     """An end of a length (3,), as touched; or a sphere's centre, with its covariance for 1 mm."""
     if not plan.spheres:
-        return read_touch(session, Step(what, number, f"{text}.")).tip_mm, None
-    steps = (Step(what, number, f"{text}, {where}.", off=off) for where, off in ROUND)
+        return read_touch(session, TouchStep(what, number, f"{text}.")).tip_mm, None
+    steps = (TouchStep(what, number, f"{text}, {where}.", off=off) for where, off in ROUND)
     points = np.array([read_touch(session, step).tip_mm for step in steps])
     return sphere_centre(points), sphere_centre_mm2(points)
 
@@ -372,12 +371,12 @@ def _divot(session: ArmSession, name: str, touches: int) -> LocationTest:
             f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus"
             f" {LEANS[number % len(LEANS)]}{further}."
         )
-        readings.append(read_touch(session, Step(name, number, text)))
+        readings.append(read_touch(session, TouchStep(name, number, text)))
     axes = axes_of([one.axis for one in readings])
     return LocationTest(name, np.array([one.tip_mm for one in readings]), axes)
 
 
-def read_touch(session: ArmSession, step: Step) -> Reading:
+def read_touch(session: ArmSession, step: TouchStep) -> Reading:
     """One reading of what ``step`` asks for; asked again while the arm moves, or was lost."""
 
     def touched() -> Reading:
@@ -402,5 +401,5 @@ def read_touch(session: ArmSession, step: Step) -> Reading:
         return reading
 
 
-def mm(point: Iterable[float], digits: int = 1) -> str:
-    return ", ".join(f"{v:.{digits}f}" for v in point) + " mm"
+def mm(point: Iterable[float]) -> str:
+    return ", ".join(f"{v:.1f}" for v in point) + " mm"

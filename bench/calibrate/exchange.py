@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from scipy.io import savemat
 
-from bench.calibrate.foreign import Foreign, read_mat, read_storage, read_yaml
+from bench.calibrate.foreign import ForeignFile, read_mat, read_storage, read_yaml
 from bench.calibrate.mat_values import OBJECT
 from bench.config import ConfigError, several, writing
 from detector.calibration import ParameterCovariance, Part
@@ -72,7 +72,7 @@ def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
     return Part(left=left, right=right, right_from_left=motion)
 
 
-def _storage_size(found: Foreign) -> tuple[int, int]:
+def _storage_size(found: ForeignFile) -> tuple[int, int]:
     name, value = found.first("image_size", "imageSize", "img_size", "image_Size")
     if isinstance(value, dict) and {"width", "height"} <= value.keys():
         value = [value["width"], value["height"]]
@@ -101,7 +101,7 @@ def write_opencv(part: Part, path: Path | str) -> None:
 
 def read_maker(given: MakersCalibration, sizes: Mapping[str, tuple[int, int]], source: str) -> Part:
     """What a camera group's maker states of pictures of these sizes. Raises ConfigError."""
-    found = Foreign(Path(source), {})
+    found = ForeignFile(Path(source), {})
     if {"left", "right"} - set(given.lenses) or set(given.lenses) - {"left", "right", "depth"}:
         raise found.refusal("lenses", f"are {', '.join(given.lenses)}; left, right, perhaps depth")
     lenses, motions = {}, {}
@@ -198,7 +198,7 @@ def _ros_camera(path: Path) -> Camera:
     return _camera(found, (K, found.numbers(K, 9)), (D, found.numbers(D)), size)
 
 
-def _refuse_part_of_sensor(found: Foreign, size: tuple[int, int]) -> None:
+def _refuse_part_of_sensor(found: ForeignFile, size: tuple[int, int]) -> None:
     """Raise ConfigError for pictures of a part of the sensor, or binned: K is of the whole."""
     for name in ("binning_x", "binning_y"):
         if found.values.get(name) is not None and found.whole(name, 1)[0] > 1:
@@ -248,7 +248,7 @@ def read_matlab(path: Path) -> Part:
             f"{path}: holds {len(held)} structures with CameraParameters1; wanted: one, as"
             " toStruct(stereoParams) gives it"
         )
-    stereo = Foreign(path, held[0])
+    stereo = ForeignFile(path, held[0])
     tables = [stereo.table(f"CameraParameters{n}") for n in (1, 2)]
     left, right = (_matlab_camera(one) for one in tables)
     unit = tables[0].word("WorldUnits").lower()
@@ -266,7 +266,7 @@ def read_matlab(path: Path) -> Part:
     return Part(left=left, right=right, right_from_left=_motion(given, R, turn.ravel(), T, T_mm))
 
 
-def _matlab_camera(one: Foreign) -> Camera:
+def _matlab_camera(one: ForeignFile) -> Camera:
     """Pixels count from 1 there, and rows come before columns."""
     rows, columns = one.whole("ImageSize", 2)
     name, K = one.first("K", "IntrinsicMatrix")
@@ -338,7 +338,7 @@ def _write(path: Path | str, data: bytes) -> None:
         replace_whole(Path(path), data)
 
 
-def _refuse_other_model(found: Foreign) -> None:
+def _refuse_other_model(found: ForeignFile) -> None:
     """Raise ConfigError for a lens model that has no k1 k2 p1 p2 k3, by whichever key names it."""
     known = {"distortion_model": (*PLAIN_MODELS, *LONGER_MODELS, "none"), "camera_model": PINHOLES}
     for name, models in known.items():
@@ -349,13 +349,13 @@ def _refuse_other_model(found: Foreign) -> None:
             raise found.refusal(name, f"is set; {ONLY}")
 
 
-def _size(found: Foreign, name: str, size: tuple[int, ...]) -> tuple[int, int]:
+def _size(found: ForeignFile, name: str, size: tuple[int, ...]) -> tuple[int, int]:
     if not all(1 <= n <= 65535 for n in size):
         raise found.refusal(name, f"must be 1 to 65535 pixels, is {' x '.join(map(str, size))}")
     return size[0], size[1]
 
 
-def _motion(found: Foreign, turn: str, R: Array, shift: str, T_mm: Array) -> Motion:
+def _motion(found: ForeignFile, turn: str, R: Array, shift: str, T_mm: Array) -> Motion:
     """Of a rotation matrix by rows (9,) or a rotation vector (3,). Raises ConfigError."""
     try:
         if len(R) == 3:
@@ -367,7 +367,7 @@ def _motion(found: Foreign, turn: str, R: Array, shift: str, T_mm: Array) -> Mot
 
 
 def _camera(
-    found: Foreign, K: tuple[str, Array], D: tuple[str, Array], size: tuple[int, int]
+    found: ForeignFile, K: tuple[str, Array], D: tuple[str, Array], size: tuple[int, int]
 ) -> Camera:
     """A camera that can be, of its matrix (9,) and coefficients by their names. ConfigError."""
     (name, matrix), (of_lens, values) = K, D

@@ -33,7 +33,7 @@ MATRIX = "tag:yaml.org,2002:opencv-"
 
 
 @dataclass(frozen=True, slots=True)
-class Foreign:
+class ForeignFile:
     """A file's values by name; what is asked of them is refused by its name."""
 
     path: Path
@@ -47,12 +47,12 @@ class Foreign:
         found = next((name for name in names if self.values.get(name) is not None), names[0])
         return found, self.values.get(found)
 
-    def table(self, name: str) -> Foreign:
+    def table(self, name: str) -> ForeignFile:
         """The table of that name. Raises ConfigError."""
         found = self.values.get(name)
         if not isinstance(found, Mapping):
             raise self.refusal(name, "is missing" if found is None else "must be a table")
-        return Foreign(self.path, found)
+        return ForeignFile(self.path, found)
 
     def numbers(self, name: str, *counts: int, value: Any = None) -> Array:
         """The finite numbers of ``name``, row by row; ``counts``: how many. Raises ConfigError."""
@@ -113,24 +113,24 @@ class Foreign:
         return value
 
 
-def read_yaml(path: Path) -> Foreign:
+def read_yaml(path: Path) -> ForeignFile:
     """A YAML file's table. Raises ConfigError."""
-    return Foreign(path, _table(path, _yaml(path, read_text(path))))
+    return ForeignFile(path, _table(path, _yaml(path, read_text(path))))
 
 
-def read_storage(path: Path) -> Foreign:
+def read_storage(path: Path) -> ForeignFile:
     """OpenCV's FileStorage: YAML, XML or JSON. Raises ConfigError."""
     text = read_text(path).lstrip("\ufeff \n")
     if text.startswith("<"):
-        return Foreign(path, _xml(path, text))
+        return ForeignFile(path, _xml(path, text))
     if text.startswith("{"):
         try:
-            return Foreign(path, _table(path, read_json(text)))
+            return ForeignFile(path, _table(path, read_json(text)))
         except DocumentError as error:
             raise ConfigError.plain(f"{path}:{error.line}: {error}") from error
     if text.startswith("%YAML"):  # "%YAML:1.0" is OpenCV's own spelling
         text = "#" + text
-    return Foreign(path, _table(path, _yaml(path, text)))
+    return ForeignFile(path, _table(path, _yaml(path, text)))
 
 
 def _table(path: Path, found: Any) -> Mapping[str, Any]:
@@ -237,7 +237,7 @@ def _xml_value(element: ElementTree.Element) -> Any:
     return words if len(words) > 1 else (words or [""])[0]
 
 
-def read_mat(path: Path) -> Foreign:
+def read_mat(path: Path) -> ForeignFile:
     """The numbers, texts and structures of a .mat file. Raises ConfigError.
 
     By a process of its own: of damaged files the library has died with SIGSEGV.
@@ -259,6 +259,6 @@ def read_mat(path: Path) -> Foreign:
             f"{path}: can't be read as a .mat file (version 7 or older): {short(why)}"
         )
     try:
-        return Foreign(path, _table(path, read_json(done.stdout)))
+        return ForeignFile(path, _table(path, read_json(done.stdout)))
     except DocumentError as error:
         raise ConfigError.plain(f"{path}: can't be read as a .mat file: {error}") from error

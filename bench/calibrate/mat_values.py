@@ -8,6 +8,7 @@ import json
 import math
 import sys
 import warnings
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,10 @@ OBJECT = "an object of MATLAB's"  # its own format, which isn't published
 
 
 def main(path: str) -> int:
-    _limit_memory()
+    with suppress(ImportError):  # Windows
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     from scipy.io import loadmat
 
     warnings.simplefilter("ignore")
@@ -58,14 +62,6 @@ def _plain(value: Any, depth: int) -> Any:
         (one if math.isfinite(one) else str(one))
         for one in value.astype(np.float64).ravel().tolist()
     ]
-
-
-def _limit_memory() -> None:
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ LEAN_RAD = np.radians(38.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class TouchStep:
     """One touch at the place ``what``; ``off``: where on a sphere there, outwards."""
 
     what: str
@@ -74,7 +74,7 @@ class SimulatedArm:
         """Where the tip is held, in the arm's frame, and its axis; for the emulated arm."""
         return self._held
 
-    def go(self, step: Step) -> None:
+    def go(self, step: TouchStep) -> None:
         """Bring the tip where ``step`` asks. Raises ConfigError where it doesn't get there."""
         with self._lock:
             try:
@@ -93,7 +93,7 @@ class SimulatedArm:
     def __exit__(self, *_: object) -> None:
         self._listener.close()
 
-    def _target(self, step: Step) -> tuple[Floats, Floats | None]:
+    def _target(self, step: TouchStep) -> tuple[Floats, Floats | None]:
         if step.what in DIVOTS_MM:
             # upright, then leaning another way each time, as far as the arm's joints allow
             point = np.array(DIVOTS_MM[step.what])

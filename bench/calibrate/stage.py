@@ -14,7 +14,7 @@ from bench.rig.opening import open_instruments
 from bench.rig.reconnecting import Reconnecting
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
-from bench.truth.stage_registration import Registering, around, register
+from bench.truth.stage_registration import PartialRegistration, around, register
 from bench.truth.touching import TipReader, Toucher
 from instruments.captures.capture import CaptureFile
 from instruments.operators.operator import Arrangement, Homing
@@ -82,7 +82,7 @@ def calibrate_stage(
             operator.ask(Arrangement("stage_registration", phantom, (), text))
             toucher = Toucher(operator.ask, tip, rig.rig.arm, devices.clock, lambda: None, readings)
             who = arm, operator.ask, devices.clock, say, rig.rig.limits.away_s
-            given = stage, settings, toucher, Registering(), phantom, poses
+            given = stage, settings, toucher, PartialRegistration(), phantom, poses
             registering = partial(register, *given, teat=teat, report=say)
             return Reconnecting.of_arm(*who, stage=stage).keep(registering)
         except RegistrationError as error:

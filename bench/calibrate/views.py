@@ -343,7 +343,7 @@ def gather(
     """Keep views as CAMERA/NN.png; returns how many. ``reconnect`` waits for a lost camera, or
     raises its fault. Raises OperatorAbort, ConfigError.
     """
-    guide = Guide(board, wanted.guided)
+    guide = CoverageGuide(board, wanted.guided)
     pattern, number, lost = pattern_of(board), 1, 0
     while number <= wanted.most:
         missing = guide.missing
@@ -441,7 +441,7 @@ def _instruction(wanted: ViewsRequest, missing: tuple[str, ...]) -> str:
     return f"{hold}. Missing: {'; '.join(missing[:SHOWN])}{more}."
 
 
-class Guide:
+class CoverageGuide:
     """Views of ``board`` so far; ``guided`` cameras must be covered. Pictures are un-mirrored."""
 
     def __init__(self, board: Board, guided: tuple[str, ...]) -> None:

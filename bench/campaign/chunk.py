@@ -40,7 +40,7 @@ SHARES = 255  # a parameter's share of its range is kept in so many steps
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Scene:
+class SceneId:
     """A member of a family."""
 
     family: str
@@ -126,7 +126,7 @@ class CallTime:
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class ChunkRows:
     """The rows of some scenes; ``taken`` belongs to ``scenes``. Times include drawing."""
 
     scenes: tuple[SceneRow, ...] = ()
@@ -135,12 +135,12 @@ class Rows:
     cpu_s: float = 0.0
     seconds: float = 0.0
 
-    def __add__(self, other: Rows) -> Rows:
+    def __add__(self, other: ChunkRows) -> ChunkRows:
         names = [field.name for field in fields(self)]
-        return Rows(*(getattr(self, name) + getattr(other, name) for name in names))
+        return ChunkRows(*(getattr(self, name) + getattr(other, name) for name in names))
 
 
-def run_scene(bench: Bench, scene: Scene) -> Rows:
+def run_scene(bench: Bench, scene: SceneId) -> ChunkRows:
     """The rows of one scene. Raises ValueError."""
     started_s, used_before_s = stopwatch_s(), processor_s()
     found, parameters = member_of(scene.family, scene.member)
@@ -182,10 +182,10 @@ def run_scene(bench: Bench, scene: Scene) -> Rows:
         reason = None if answer.outcome is Outcome.ANSWERED else answer.detection.reason
         taken.append(CallTime(answer.seconds, answer.cpu_s, reason))
     used_s, passed_s = processor_s() - used_before_s, stopwatch_s() - started_s
-    return Rows(tuple(rows), tuple(teats), tuple(taken), used_s, passed_s)
+    return ChunkRows(tuple(rows), tuple(teats), tuple(taken), used_s, passed_s)
 
 
-def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[DrawnScene, Calibration]:
+def draw_scene(bench: Bench, scene: SceneId, found: Situation) -> tuple[DrawnScene, Calibration]:
     """The frames of a scene, perturbed, with its truth; and the calibration that detectors get.
     Raises ValueError for one that can't be drawn before these cameras.
     """
@@ -205,11 +205,11 @@ def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[DrawnScene
     return drawn, stated
 
 
-def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
+def set_aside(scene: SceneId, detectors: Iterable[str], why: str) -> ChunkRows:
     """The rows of a scene that the bench could not do: no detector's failure."""
     nothing = (0, 0, 0, 0, 0, None, None, None, ASIDE, "")
     rows = tuple(SceneRow(scene.family, scene.member, name, *nothing) for name in detectors)
-    return Rows(rows, (), tuple(CallTime(0.0, None, why) for _ in rows))
+    return ChunkRows(rows, (), tuple(CallTime(0.0, None, why) for _ in rows))
 
 
 def digest_of_frames(frames: FrameSet) -> str:
@@ -247,7 +247,7 @@ def _failure(answer: Answer, score: SceneScore) -> str:
 
 
 def _teat_rows(
-    scene: Scene, answer: Answer, score: SceneScore, drawn: DrawnScene
+    scene: SceneId, answer: Answer, score: SceneScore, drawn: DrawnScene
 ) -> Iterable[TeatRow]:
     match, teats = score.match, answer.detection.teats
     answered = {j: ("found", teats[i]) for i, j in match.pairs}

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.campaign.chunk import ASIDE, Scene
+from bench.campaign.chunk import ASIDE, SceneId
 from bench.campaign.ledger import Ledger
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.run import plan_of
@@ -34,7 +34,7 @@ SELECT family, member, frames, failure, hidden, false_teats, hidden_claimed, tea
 FROM everything WHERE detector = ? AND failure != ? ORDER BY family, member
 """
 
-Scores = dict[Scene, tuple[SceneScore, str]]
+Scores = dict[SceneId, tuple[SceneScore, str]]
 
 
 def compare_campaigns(
@@ -154,7 +154,7 @@ def _as_run(folder: Path, plan: CampaignPlan) -> RunRecord:
     return RunRecord(folder, facts)
 
 
-def _refuse_unexplained(old: RunRecord, new: RunRecord, scene: Scene, count: int) -> None:
+def _refuse_unexplained(old: RunRecord, new: RunRecord, scene: SceneId, count: int) -> None:
     """Raises ConfigError for other pictures of one plan."""
     if any(old.facts[key] != new.facts[key] for key in ("rig", "seed", "perturbations")):
         return
@@ -185,5 +185,5 @@ def _scores(side: Side, plan: CampaignPlan) -> Scores:
         )
         right = failure == ""
         one = SceneScore(match, errors, 0.0, True, plan.limit_mm, 0.0, right, (), claimed)
-        scores[Scene(family, member)] = one, frames
+        scores[SceneId(family, member)] = one, frames
     return scores

@@ -20,7 +20,7 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, wait
 from distributed import TimeoutError as DaskTimeoutError
 
-from bench.campaign.chunk import Rows, set_aside
+from bench.campaign.chunk import ChunkRows, set_aside
 from bench.campaign.plan import Chunk, Job, of_program
 from bench.campaign.pool import AHEAD, TIMES_KEPT, LocalPool, PoolError, Say, silence_limit_s
 from instruments.clock import stopwatch_s
@@ -37,7 +37,7 @@ LOOK_S = 2.0
 class ChunkResult:
     """What a Dask worker gives back: rows, what went wrong meanwhile, and what made them."""
 
-    rows: Rows
+    rows: ChunkRows
     said: tuple[str, ...]
     program: dict[str, str]
 
@@ -89,7 +89,7 @@ class DaskPool:
         self._client: Client | None = None
         self._given: dict[Future[ChunkResult], Chunk] = {}
         self._again: deque[Chunk] = deque()
-        self._open: dict[str, tuple[Chunk, list[Rows]]] = {}  # and its pieces that are done
+        self._open: dict[str, tuple[Chunk, list[ChunkRows]]] = {}  # and its pieces that are done
         self._lost: Counter[Chunk] = Counter()
         self._chunk_s: deque[float] = deque(maxlen=TIMES_KEPT)
         self._renewed = 0
@@ -103,7 +103,7 @@ class DaskPool:
                 self._client.run(clear, self._key, nanny=False, on_error="ignore")
         self._disconnect()
 
-    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, ChunkRows]]:
         """As `LocalPool.results`. Raises PoolError where the cluster can't be used."""
         self._last_result_s, warned = stopwatch_s(), False
         while True:
@@ -176,7 +176,7 @@ class DaskPool:
         for future in futures:
             self._again.append(self._given.pop(future))
 
-    def _take(self, part: Chunk, future: Future[ChunkResult]) -> Iterator[tuple[Chunk, Rows]]:
+    def _take(self, part: Chunk, future: Future[ChunkResult]) -> Iterator[tuple[Chunk, ChunkRows]]:
         found: ChunkResult | None
         try:
             found = future.result(timeout=CONNECT_S)
@@ -209,7 +209,7 @@ class DaskPool:
         there = {row.member for rows in done for row in rows.scenes}
         if len(there) == len(chunk.members):
             del self._open[part.name]
-            yield chunk, sum(sorted(done, key=lambda rows: rows.scenes[0].member), Rows())
+            yield chunk, sum(sorted(done, key=lambda rows: rows.scenes[0].member), ChunkRows())
 
     def _worker_lost(self, part: Chunk) -> ChunkResult | None:
         """Workers went with this chunk, or with another that they had: halve it in the end."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import duckdb
 from scipy.special import chdtrc
 
-from bench.campaign.chunk import ASIDE, SHARES, Scene
+from bench.campaign.chunk import ASIDE, SHARES, SceneId
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.shards import Shards
 from bench.scoring.comparison import ALPHA, holm
@@ -92,7 +92,7 @@ FROM (
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class FailureTrend:
     """Failures and scenes in each quarter of a parameter's range, and the chance of such counts
     (chi-square, adjusted after Holm over the family).
     """
@@ -105,10 +105,10 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Map:
+class FailureMap:
     """Scenes and failures of a family in cells of two ``parameters``, rows along the second."""
 
-    parameters: tuple[Parameter, Parameter]
+    parameters: tuple[FailureTrend, FailureTrend]
     scenes: list[list[int]]
     failures: list[list[int]]
 
@@ -120,9 +120,9 @@ class Numbers:
     rates: list[FamilyRate]
     aside: Mapping[str, str]
     worst: Mapping[str, list[tuple[object, ...]]]
-    typical: Scene | None
-    parameters: list[Parameter]
-    maps: list[Map] = field(default_factory=list)
+    typical: SceneId | None
+    parameters: list[FailureTrend]
+    maps: list[FailureMap] = field(default_factory=list)
 
     @property
     def detectors(self) -> tuple[str, ...]:
@@ -167,7 +167,7 @@ def campaign_numbers(folder: Path, plan: CampaignPlan, detectors: Sequence[str] 
 
 def _typical(
     db: duckdb.DuckDBPyConnection, detector: str, rates: Sequence[FamilyRate]
-) -> Scene | None:
+) -> SceneId | None:
     """A success with an error in the middle of those of the families."""
     middles = sorted(
         one.spread_mm[2] for one in rates if one.spread_mm and one.detector == detector
@@ -175,16 +175,16 @@ def _typical(
     if not middles:
         return None
     found = db.execute(TYPICAL_OF, [detector, middles[len(middles) // 2]]).fetchone()
-    return Scene(*found) if found else None
+    return SceneId(*found) if found else None
 
 
-def _parameters(db: duckdb.DuckDBPyConnection, plan: CampaignPlan) -> list[Parameter]:
+def _parameters(db: duckdb.DuckDBPyConnection, plan: CampaignPlan) -> list[FailureTrend]:
     counts: dict[tuple[str, str, str], dict[int, tuple[int, int]]] = defaultdict(dict)
     for family, detector, name, quarter, scenes, failures in db.execute(
         QUARTERS, [plan.first + MAPPED]
     ).fetchall():
         counts[family, detector, name][quarter] = failures, scenes
-    groups: dict[tuple[str, str], list[Parameter]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[FailureTrend]] = defaultdict(list)
     for (family, detector, name), by_quarter in counts.items():
         quarters = tuple(by_quarter.get(quarter, (0, 0)) for quarter in range(4))
         failed, good = sum(f for f, _ in quarters), sum(n - f for f, n in quarters)
@@ -193,8 +193,8 @@ def _parameters(db: duckdb.DuckDBPyConnection, plan: CampaignPlan) -> list[Param
             share = failed / (failed + good)
             square = sum((f - share * n) ** 2 / (share * (1.0 - share) * n) for f, n in quarters)
             p_value = float(chdtrc(3, square))
-            groups[family, detector].append(Parameter(family, detector, name, quarters, p_value))
-    found: list[Parameter] = []
+            groups[family, detector].append(FailureTrend(family, detector, name, quarters, p_value))
+    found: list[FailureTrend] = []
     for group in groups.values():
         group.sort(key=lambda one: one.p_value)
         adjusted = holm([one.p_value for one in group])
@@ -206,8 +206,8 @@ def _map(
     db: duckdb.DuckDBPyConnection,
     plan: CampaignPlan,
     detector: str,
-    parameters: Sequence[Parameter],
-) -> Iterator[Map]:
+    parameters: Sequence[FailureTrend],
+) -> Iterator[FailureMap]:
     """The family whose failures depend most on a parameter; none where it may be chance."""
     mine = [one for one in parameters if one.detector == detector and one.p_value < ALPHA]
     if not mine:
@@ -223,4 +223,4 @@ def _map(
     asked = [cells, cells, first.name, second.name, first.family, detector, plan.first + MAPPED]
     for x, y, n, failures in db.execute(COUNTED, asked).fetchall():
         all_of[y][x], failed[y][x] = n, failures
-    yield Map((first, second), all_of, failed)
+    yield FailureMap((first, second), all_of, failed)

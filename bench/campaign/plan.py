@@ -15,12 +15,12 @@ from pydantic import Field, field_validator, model_validator
 
 import detector
 import instruments.world
-from bench.campaign.chunk import Bench, Scene
+from bench.campaign.chunk import Bench, SceneId
 from bench.campaign.perturbations import Applied
 from bench.config import (
     ConfigError,
+    FileTable,
     Positive,
-    Section,
     checked,
     read_calibration,
     read_config,
@@ -60,7 +60,7 @@ MAKES_ROWS = (
 )
 
 
-class CampaignPlan(Section):
+class CampaignPlan(FileTable):
     """A file of a campaign. ``scenes`` are of each family, with ``half_width`` at most so many.
     Files are named from the plan's folder; 0 ``chunk_scenes`` suit the number of scenes.
     """
@@ -152,8 +152,8 @@ class Chunk:
     members: range
 
     @property
-    def scenes(self) -> tuple[Scene, ...]:
-        return tuple(Scene(self.family, member) for member in self.members)
+    def scenes(self) -> tuple[SceneId, ...]:
+        return tuple(SceneId(self.family, member) for member in self.members)
 
     @property
     def name(self) -> str:

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import IO, Any, cast
 
-from bench.campaign.chunk import Rows, Scene, set_aside
+from bench.campaign.chunk import ChunkRows, SceneId, set_aside
 from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
@@ -58,7 +58,7 @@ class _Worker:
         self, job: Job, number: int, messages: queue.SimpleQueue[tuple[_Worker, Any]]
     ) -> None:
         self.number = number
-        self.scenes: deque[Scene] = deque()  # that it was given
+        self.scenes: deque[SceneId] = deque()  # that it was given
         self.ready, self.killed = False, ""
         self.last_message_s = stopwatch_s()
         self._messages = messages
@@ -74,7 +74,7 @@ class _Worker:
         self._thread.start()
         self.ask(job)
 
-    def give(self, scene: Scene) -> None:
+    def give(self, scene: SceneId) -> None:
         if not self.scenes:
             self.last_message_s = stopwatch_s()
         self.scenes.append(scene)
@@ -127,9 +127,9 @@ class LocalPool:
         self._job, self._count = job, workers
         self._messages: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._workers: list[_Worker] = []
-        self._scenes: deque[Scene] = deque()  # given to no process yet
-        self._open: dict[Chunk, dict[Scene, Rows]] = {}
-        self._deaths: Counter[Scene] = Counter()
+        self._scenes: deque[SceneId] = deque()  # given to no process yet
+        self._open: dict[Chunk, dict[SceneId, ChunkRows]] = {}
+        self._deaths: Counter[SceneId] = Counter()
         self._chunk_s: deque[float] = deque(maxlen=TIMES_KEPT)  # by each scene
         self._starts_failed = self._started = 0
         self._began = False
@@ -150,7 +150,7 @@ class LocalPool:
         """The numbers of the processes."""
         return [worker.process.pid for worker in self._workers]
 
-    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, ChunkRows]]:
         """The rows of each chunk, as they are done. Raises PoolError where no worker starts."""
         while True:
             self._fill(chunks)
@@ -160,7 +160,7 @@ class LocalPool:
                 self._take(*self._messages.get(timeout=LOOK_S))
             for chunk in [one for one, rows in self._open.items() if len(rows) == len(one.members)]:
                 done = self._open.pop(chunk)
-                yield chunk, sum((done[scene] for scene in chunk.scenes), Rows())
+                yield chunk, sum((done[scene] for scene in chunk.scenes), ChunkRows())
             self._kill_silent()
 
     def _fill(self, chunks: Iterator[Chunk]) -> None:
@@ -184,7 +184,7 @@ class LocalPool:
                     self._workers.append(_Worker(self._job, self._started, self._messages))
                 self._workers[-1 if new else place].give(scene)
 
-    def _alone(self, scene: Scene) -> bool:
+    def _alone(self, scene: SceneId) -> bool:
         return self._deaths[scene] == DEATHS - 1
 
     def _take(self, worker: _Worker, value: object) -> None:
@@ -193,7 +193,7 @@ class LocalPool:
             self._replace(worker)
             return
         now_s = stopwatch_s()
-        if isinstance(value, Rows):
+        if isinstance(value, ChunkRows):
             self._store(worker.scenes.popleft(), value)
             self._chunk_s.append((now_s - worker.last_message_s) * self._job.plan.chunk_scenes)
         else:
@@ -201,7 +201,7 @@ class LocalPool:
             self._starts_failed = 0
         worker.last_message_s = now_s
 
-    def _store(self, scene: Scene, rows: Rows) -> None:
+    def _store(self, scene: SceneId, rows: ChunkRows) -> None:
         (chunk,) = (
             one for one in self._open if one.family == scene.family and scene.member in one.members
         )

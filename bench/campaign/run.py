@@ -18,7 +18,7 @@ from typing import Protocol
 
 from filelock import FileLock, Timeout
 
-from bench.campaign.chunk import ASIDE, Rows, Scene
+from bench.campaign.chunk import ASIDE, ChunkRows, SceneId
 from bench.campaign.ledger import LEDGER, Ledger
 from bench.campaign.ledger import LOCK as LEDGER_LOCK
 from bench.campaign.plan import (
@@ -53,7 +53,7 @@ def plan_of(folder: Path) -> CampaignPlan:
 class Executor(Protocol):
     """Works on chunks, in whatever order; asks for one when there is room."""
 
-    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]: ...
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, ChunkRows]]: ...
 
 
 @contextmanager
@@ -77,7 +77,7 @@ def executor(job: Job, workers: int | None, dask: str | None, say: Say) -> Itera
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class CampaignStatus:
     """How far a campaign is. ``failures``: by detector, of the scenes that are done."""
 
     done: int
@@ -156,9 +156,9 @@ class Campaign:
     def run(
         self,
         executor: Executor,
-        report: Callable[[Status], None],
+        report: Callable[[CampaignStatus], None],
         say: Callable[[str], None] = lambda _: None,
-    ) -> Status:
+    ) -> CampaignStatus:
         """Do what is not done, or is damaged; ``report`` gets the progress after each chunk."""
         if damage := self.shards.remove_damaged():
             how = f"damaged ({damage})"
@@ -190,7 +190,7 @@ class Campaign:
         self.shards.merge()
         return self._status(families)
 
-    def do_chunk(self, number: int, executor: Executor) -> Rows | None:
+    def do_chunk(self, number: int, executor: Executor) -> ChunkRows | None:
         """The rows of one chunk, written; None where it was done before."""
         chunk = self.plan.chunk(number)
         self.shards.remove_damaged(f"{chunk.family}-{chunk.number:06d}.")
@@ -239,7 +239,7 @@ class Campaign:
                 family.whole = dict(family.sums)
                 family.done = sum(map(self.plan.scenes_of, range(family.stopped)))
 
-    def _status(self, families: Mapping[str, _Family]) -> Status:
+    def _status(self, families: Mapping[str, _Family]) -> CampaignStatus:
         failures: dict[str, int] = defaultdict(int)
         done = planned = aside = 0
         for family in families.values():
@@ -248,7 +248,7 @@ class Campaign:
             aside += family.aside
             for detector, rate in family.whole.items():
                 failures[detector] += rate.failures
-        return Status(done, planned, failures, aside)
+        return CampaignStatus(done, planned, failures, aside)
 
 
 @contextmanager
@@ -298,7 +298,7 @@ def run_chunk(
     if rows is None:
         return None
     return {
-        Scene(row.family, row.member).name: one.reason or ""
+        SceneId(row.family, row.member).name: one.reason or ""
         for row, one in zip(rows.scenes, rows.taken, strict=True)
         if row.failure == ASIDE
     }

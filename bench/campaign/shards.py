@@ -22,7 +22,7 @@ from typing import Any
 
 import duckdb
 
-from bench.campaign.chunk import SHARES, CallTime, Rows, SceneRow, TeatRow
+from bench.campaign.chunk import SHARES, CallTime, ChunkRows, SceneRow, TeatRow
 from bench.campaign.ledger import Damage, Ledger
 from bench.config import ConfigError
 
@@ -98,7 +98,7 @@ class Shards:
             for number in range(shard.first, shard.last + 1)
         }
 
-    def write(self, family: str, number: int, rows: Rows) -> None:
+    def write(self, family: str, number: int, rows: ChunkRows) -> None:
         """Add a chunk; its rows are sorted first."""
         self._writer.execute(f"CREATE OR REPLACE TABLE rows ({TABLE})")
         teats: dict[tuple[str, int, str], list[dict[str, Any]]] = {}

@@ -1,8 +1,8 @@
 """``python -m bench.campaign.worker``: a process that works on scenes for `pool`.
 
-Its standard input brings a `Job`, then scenes, its standard output takes the `Rows` of each, all
-pickled. It ends when its input does, in the middle of whatever it does: a client that
-died leaves no worker behind.
+Its standard input brings a `Job`, then scenes, its standard output takes the `ChunkRows` of each,
+all pickled. It ends when its input does, in the middle of whatever it does: a client that died
+leaves no worker behind.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import IO, Any
 
 import cv2
 
-from bench.campaign.chunk import Bench, Rows, Scene, run_scene, set_aside
+from bench.campaign.chunk import Bench, ChunkRows, SceneId, run_scene, set_aside
 from bench.campaign.plan import Job
 from bench.results.answers import close_detectors
 from textfiles.text import named
@@ -35,7 +35,7 @@ ONE_THREAD = dict.fromkeys(
 )
 
 
-def attempt(bench: Bench, scene: Scene) -> Rows:
+def attempt(bench: Bench, scene: SceneId) -> ChunkRows:
     """The rows of a scene; what the bench can't do is set aside with its reason."""
     try:
         return run_scene(bench, scene)

@@ -10,7 +10,7 @@ import math
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from contextvars import ContextVar
 from datetime import datetime
@@ -83,6 +83,11 @@ def say(*texts: object) -> None:
     """Each text as a line of standard output; at a terminal wrapped between words."""
     for text in texts:
         print(wrapped(str(text), sys.stdout), flush=True)
+
+
+def mm(point: Iterable[float]) -> str:
+    """A place, for a person."""
+    return ", ".join(f"{v:.2f}" for v in point) + " mm"
 
 
 def _write(text: str, out: TextIO) -> None:

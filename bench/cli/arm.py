@@ -1,33 +1,20 @@
-"""`arm read`, `watch`, `home`, `frame` and `verify`: one measuring arm alone, no rig file."""
+"""`arm read`, `frame` and `verify`: a measuring arm, no rig file, and a person who touches."""
 
 from __future__ import annotations
 
 import argparse
-import math
-import sys
-from collections.abc import Iterable
-from contextlib import closing, suppress
 from dataclasses import fields
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import bench
-from bench.cli.arguments import CODES, code_of, complain, in_switches, print_json, say
-from instruments import LimitError, RealClock
+from bench.cli.alone import arm_at
+from bench.cli.arguments import CODES, code_of, complain, in_switches, mm, print_json, say
 from textfiles.text import sentence
 
 
-def _link(given: argparse.Namespace) -> dict[str, Any]:
-    return {"baud": given.baud, "answer_s": given.answer_s, "capture": given.capture}
-
-
-def _mm(point: Iterable[float]) -> str:
-    return ", ".join(f"{v:.2f}" for v in point) + " mm"
-
-
 def read(given: argparse.Namespace) -> None:
-    how = {"frame": given.frame, "homed": given.homed, **_link(given)}
+    how = {"frame": given.frame, "homed": given.homed, **arm_at(given)}
     found = bench.read_arm(given.port, given.packets, **how)
     line: dict[str, Any] = {"serial_number": found.serial_number, "tip_mm": found.tip_mm.tolist()}
     if found.world_mm is not None:
@@ -43,48 +30,14 @@ def read(given: argparse.Namespace) -> None:
         return
     say(f"arm {found.serial_number}")
     spread = f", spread {found.spread_mm:.2f} mm over {found.packets} packets"
-    say(f"tip {_mm(found.tip_mm)} in the arm's frame{spread if found.packets > 1 else ''}")
+    say(f"tip {mm(found.tip_mm)} in the arm's frame{spread if found.packets > 1 else ''}")
     if found.world_mm is not None and found.frame is not None:
-        say(f"    {_mm(found.world_mm)} in the world (frame of {found.frame.made:%Y-%m-%d})")
-
-
-def watch(given: argparse.Namespace) -> int:
-    live, clock = sys.stdout.isatty(), RealClock()
-    opened = bench.open_arm(given.port, homed=given.homed, ask=True, **_link(given))
-    with closing(clock), opened as arm:
-        end_s = clock.now() + (given.seconds or math.inf)
-        with suppress(KeyboardInterrupt), closing(bench.watch_arm(arm)) as views:
-            try:
-                for seen in takewhile(lambda _: clock.now() < end_s, views):
-                    print(_view(seen), end="\r" if live else "\n", flush=True)
-            except LimitError as error:
-                return complain(str(error), CODES.wrong_use)
-    if live:
-        print(flush=True)
-    return CODES.met
-
-
-def _view(seen: bench.ArmView) -> str:
-    each = (f"{one} {'DOWN' if down else 'up'}" for one, down in seen.pedals.items())
-    (x, y, z), pedals = seen.tip_mm, ", ".join(each) or "none are known"
-    return (
-        f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
-        f" {seen.packets_per_s:6.1f} packets/s   damaged: {seen.damaged}"
-    )
-
-
-def home(given: argparse.Namespace) -> None:
-    with bench.open_arm(given.port, on_peg=given.on_peg, **_link(given)) as arm:
-        found = arm.read()
-    say(
-        f"Homed. The tip stands at {_mm(found.tip_mm)} in the arm's frame. Leave the arm"
-        " switched on."
-    )
+        say(f"    {mm(found.world_mm)} in the world (frame of {found.frame.made:%Y-%m-%d})")
 
 
 def frame(given: argparse.Namespace) -> int:
     checks = [*given.check, *[None] * given.plane_checks]
-    found = bench.touch_frame(given.port, checks, homed=given.homed, **_link(given))
+    found = bench.touch_frame(given.port, checks, homed=given.homed, **arm_at(given))
     for name, residual in found.residuals_mm.items():
         say(f"{name}: {residual:.2f} mm off")
     if found.residual_mm is not None and found.residual_mm > given.residual_limit_mm:
@@ -117,7 +70,7 @@ def verify(given: argparse.Namespace) -> int:
     before_ns = _written_ns(kept)
     warn = lambda text: say(in_switches(text, given))  # noqa: E731
     try:
-        found = bench.verify_arm(given.port, plan, warn=warn, **how, **_link(given))
+        found = bench.verify_arm(given.port, plan, warn=warn, **how, **arm_at(given))
     except BaseException:
         if _written_ns(kept) != before_ns:
             given.left = f"{given.out} was not written. Give the command again"

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from bench.report.calibration import PageOf
     from detector import Calibration, Part, Record
 
-CHECK_VIEWS, SHOWN = 5, 3  # views of a check; pictures that are left out
+CHECK_VIEWS, SHOWN = 5, 3
 say = show  # for the person at the rig, while it is worked with
 FOLDERS = "folders of pictures (FRAMES)"
 

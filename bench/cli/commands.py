@@ -907,28 +907,24 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         LISTED,
     ),
 }
-# where a command's or a group's functions are, unless in the module of the same name
-MODULES = {
-    "alone": ("camera", "stage"),
-    "detectors": ("detect",),
-    "manual": ("help",),
-    "rig": ("check", "emulate", "replay-wire", "rigs", "scene"),
-    "run": ("report", "resume", "score"),
-    "store": ("compare", "control", "recording", "runs"),
-    "trials": ("plan",),
-}
-# a command's function, unless it has the name of its last word
-FUNCTIONS = {
-    "bath set": "change",
-    "help": "shown",
-    "camera list": "attached",
-    **dict.fromkeys(("stage home", "stage move", "stage jog", "stage recover"), "of_stage"),
-    "calibrate import": "take_over",
-    "replay-wire": "replay_wire",
-    "detectors": "listed",
-    "detectors try": "try_out",
-    "trials": "listed",
-    "plugin": "listed",
+# where a command is done, "module:function", or all of a group; else the module has the name of the
+# command's first word, the function that of its last
+WORK = {
+    **dict.fromkeys(("arm home", "arm watch", "bath *", "camera *", "stage *"), "alone:verb"),
+    "bath acknowledge": "alone:acknowledge",
+    "camera list": "alone:attached",
+    "calibrate import": "calibrate:take_over",
+    "detect": "detectors",
+    "detectors": "detectors:listed",
+    "detectors try": "detectors:try_out",
+    "help": "manual:shown",
+    "plan": "trials",
+    "plugin": "plugin:listed",
+    "replay-wire": "rig:replay_wire",
+    "trials": "trials:listed",
+    **dict.fromkeys(("check", "emulate", "rigs", "scene *"), "rig"),
+    **dict.fromkeys(("report", "resume", "score"), "run"),
+    **dict.fromkeys(("compare", "control", "recording *", "runs", "store *"), "store"),
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
 

@@ -34,7 +34,7 @@ def console(given: argparse.Namespace) -> None:
         import segno
         import uvicorn
 
-        from bench.console.app import Console, make_app, pairing_url
+        from bench.console.app import WebConsole, make_app, pairing_url
         from bench.console.guard import Pairing, shedding
     except ImportError as error:
         raise ConfigError.plain(
@@ -59,7 +59,7 @@ def console(given: argparse.Namespace) -> None:
             print(EXPOSED, file=sys.stderr, flush=True)
         if not given.no_open and on_a_desktop():
             webbrowser.open(f"{origin}/#{token}")
-        served = Console(given.runs, Path.cwd(), origin, Pairing(token))
+        served = WebConsole(given.runs, Path.cwd(), origin, Pairing(token))
         if not inside and sys.stdout.isatty():
             print("To pair a phone, once and within 10 min:")
             segno.make(pairing_url(served)).terminal(compact=True)

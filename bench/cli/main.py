@@ -344,7 +344,8 @@ def parser() -> argparse.ArgumentParser:
         for argument in arguments:
             argument(parser)
         first, last = name.split()[0], name.split()[-1]
-        module = next((one for one, words in commands.MODULES.items() if first in words), first)
-        work, left = (module, commands.FUNCTIONS.get(name, last)), commands.interrupted(name)
-        parser.set_defaults(command=work, called=name, parser=parser, left=left)
+        work = commands.WORK.get(name) or commands.WORK.get(f"{first} *", first)
+        module, _, own = work.partition(":")
+        done, left = (module, own or last), commands.interrupted(name)
+        parser.set_defaults(command=done, called=name, parser=parser, left=left)
     return top

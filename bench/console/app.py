@@ -81,7 +81,7 @@ News = tuple[str, Any]  # "event" or one of FOLLOWED, and its value
 
 
 @dataclass(slots=True, eq=False)
-class Page:
+class OpenPage:
     """A page that follows a run: what it has not read yet. ``lost``: it reads too slowly."""
 
     news: asyncio.Queue[News] = field(default_factory=lambda: asyncio.Queue(QUEUED))
@@ -95,27 +95,27 @@ class Page:
 
 
 @dataclass(slots=True)
-class Pages:
+class OpenPages:
     """Which pages follow which run: each run's folder is polled once for all of them."""
 
-    following: dict[Path, set[Page]] = field(default_factory=dict)
+    following: dict[Path, set[OpenPage]] = field(default_factory=dict)
     polls: dict[Path, asyncio.Task[None]] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
         return sum(map(len, self.following.values()))
 
-    def add(self, folder: Path, lease: Lease) -> Page | None:
+    def add(self, folder: Path, lease: Lease) -> OpenPage | None:
         """A page for this run; None where there are too many."""
         if self.count >= MOST_PAGES:
             return None
-        page = Page()
+        page = OpenPage()
         self.following.setdefault(folder, set()).add(page)
         if folder not in self.polls:
             self.polls[folder] = asyncio.create_task(self._poll(folder, lease))
         return page
 
-    def remove(self, folder: Path, page: Page) -> None:
+    def remove(self, folder: Path, page: OpenPage) -> None:
         pages = self.following.get(folder, set())
         pages.discard(page)
         if not pages:
@@ -124,7 +124,7 @@ class Pages:
                 poll.cancel()
 
     async def _poll(self, folder: Path, lease: Lease) -> None:
-        events = watching.Events(folder)
+        events = watching.EventFile(folder)
         came = await _off(lambda: list(events.recent()))
         seen: dict[str, Any] = {}
         while True:
@@ -147,7 +147,7 @@ class Pages:
 
 
 @dataclass(slots=True)
-class Console:
+class WebConsole:
     """The routes. ``runs`` is the folder of runs, ``rigs`` the one with rig files and scripts."""
 
     runs: Path
@@ -156,7 +156,7 @@ class Console:
     pairing: Pairing
     lease: Lease = field(default_factory=Lease)
     tickets: dict[str, Path] = field(default_factory=dict)
-    pages: Pages = field(default_factory=Pages)
+    pages: OpenPages = field(default_factory=OpenPages)
 
     def routes(self) -> list[Route | Mount]:
         one = "/api/runs/{run}"
@@ -209,14 +209,14 @@ class Console:
         return StreamingResponse(lines, media_type="text/event-stream")
 
     async def _watched(
-        self, page: Page, folder: Path, client: str, after: int | None
+        self, page: OpenPage, folder: Path, client: str, after: int | None
     ) -> AsyncIterator[bytes]:
         """Generates as fast as the client reads; ends where it reads too slowly."""
         try:
             lease = self.lease.as_seen_by(client)
             first = {**await _off(watching.snapshot, folder), "lease": lease}
             yield _sse("snapshot", first)
-            recent = await _off(lambda: list(watching.Events(folder).recent()))
+            recent = await _off(lambda: list(watching.EventFile(folder).recent()))
             if after is None:
                 after = first["number"]
             seen: dict[str, Any] = {name: first[name] for name in FOLLOWED}
@@ -395,7 +395,7 @@ class Console:
         return watching.run_folder(self.runs, request.path_params["run"])
 
 
-def pairing_url(console: Console) -> str:
+def pairing_url(console: WebConsole) -> str:
     return f"{console.origin}/#pair-{console.pairing.code()}"
 
 
@@ -405,7 +405,7 @@ def is_here(origin: str) -> bool:
     return ip_address(host.partition("%")[0]).is_loopback
 
 
-def make_app(console: Console, hosts: list[str]) -> ASGIApp:
+def make_app(console: WebConsole, hosts: list[str]) -> ASGIApp:
     handlers: dict[Any, Any] = {watching.NoRunError: _said(404), OSError: _said(500)}
     handlers |= dict.fromkeys((starting.NotStartedError, BadBodyError, ConfigError), _said(422))
     return Guard(

@@ -109,7 +109,7 @@ def _mark(path: Path) -> float:
 
 def snapshot(folder: Path) -> dict[str, Any]:
     """Everything that a page has to know of a run before it follows its events."""
-    events = Events(folder)
+    events = EventFile(folder)
     last = list(events.recent())
     return {
         "run": _card(folder),
@@ -232,7 +232,7 @@ def live_frame(folder: Path, camera: str) -> Path | None:
 
 
 @dataclass(slots=True)
-class Events:
+class EventFile:
     """Reads on in the events of a run, a piece at a time; ``offset`` is how far it has read."""
 
     folder: Path

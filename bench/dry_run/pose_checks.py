@@ -41,7 +41,7 @@ STYLUS_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class PoseFault:
     """One thing that is wrong with one pose: ``trial`` is its name."""
 
     trial: str
@@ -59,7 +59,7 @@ class ScriptCheck:
 
     trials: int
     poses: int
-    findings: tuple[Finding, ...]
+    findings: tuple[PoseFault, ...]
     gone_through: int | None
     rendered: int
     recovered: Mapping[str, int]
@@ -96,7 +96,7 @@ def dry_run(
     script: LoadedScript,
     travel: Mapping[str, AxisLimits] | None,
     why_no_travel: str = "its controller doesn't answer",
-) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
+) -> tuple[tuple[PoseFault, ...], tuple[str, ...]]:
     """What is wrong with the poses, and what can't be checked (``travel`` None: unknown)."""
     distinct = {(one.name, one.side): one for one in script.planned}.values()
     # Left, right, and thermal where its lens and its place are calibrated
@@ -136,7 +136,7 @@ def registered_at(rig: LoadedRig, script: LoadedScript) -> tuple[PlatePose, ...]
 
 def _beyond(
     rig: LoadedRig, name: str, pose: PlatePose, travel: Mapping[str, AxisLimits]
-) -> Iterator[Finding]:
+) -> Iterator[PoseFault]:
     """Axes of the stage that can't go where ``pose`` needs them."""
     stage = rig.rig.stage
     for key, value in stage.machine(shared(pose, stage.axes)[0]).items() if stage else ():
@@ -144,10 +144,10 @@ def _beyond(
         if limits is not None and not limits.hold(value):
             text = f"{pose_text(pose)} needs the stage's {KEYS[key]} axis at {value:g},"
             text += " which goes from"
-            yield Finding(name, "limits", f"{text} {limits.low_mm:g} to {limits.high_mm:g}")
+            yield PoseFault(name, "limits", f"{text} {limits.low_mm:g} to {limits.high_mm:g}")
 
 
-def _unseen(one: PlannedTrial, views: Sequence[NamedCamera]) -> Iterator[Finding]:
+def _unseen(one: PlannedTrial, views: Sequence[NamedCamera]) -> Iterator[PoseFault]:
     """Teat ends whose rim, that of a ball, comes too near to the edge of a picture."""
     phantom = one.phantom.moved(one.pose)
     radii = np.array([teat.shape.radius_mm for teat in phantom.teats])
@@ -161,10 +161,10 @@ def _unseen(one: PlannedTrial, views: Sequence[NamedCamera]) -> Iterator[Finding
                 text = f"the end of {_name(phantom, teat)} isn't whole in the {name} picture:"
                 lack = f"it lacks {MARGIN_PX - room_px:.0f} px to the edge"
                 lack = "behind the camera" if np.isnan(room_px) else lack
-                yield Finding(one.name, "view", f"{text} {lack}")
+                yield PoseFault(one.name, "view", f"{text} {lack}")
 
 
-def _collisions(one: PlannedTrial) -> Iterator[Finding]:
+def _collisions(one: PlannedTrial) -> Iterator[PoseFault]:
     for pose in dict.fromkeys((one.approach or one.pose, one.pose)):
         phantom = one.phantom.moved(pose)
         teats = phantom.teat_hulls()
@@ -173,7 +173,7 @@ def _collisions(one: PlannedTrial) -> Iterator[Finding]:
             gap = min(clearance_mm(*pair) for pair in product(teats[i], teats[j]))
             if gap < -PLAY_MM:
                 text = f"{names[i]} and {names[j]} stand {-gap:.1f} mm inside each other"
-                yield Finding(one.name, "collision", text)
+                yield PoseFault(one.name, "collision", text)
         solids = [(name, hull) for name, hulls in zip(names, teats, strict=True) for hull in hulls]
         # an udder has no flanges
         flanges = zip(names, phantom.flange_hulls(), strict=phantom.udder is None)
@@ -188,10 +188,10 @@ def _collisions(one: PlannedTrial) -> Iterator[Finding]:
             gap, part = min(gaps, default=(0.0, ""))
             if gap < -PLAY_MM:
                 text = f"{part} stands {-gap:.1f} mm inside object {number} ({thing.name})"
-                yield Finding(one.name, "collision", text)
+                yield PoseFault(one.name, "collision", text)
 
 
-def _out_of_reach(rig: LoadedRig, script: LoadedScript) -> Iterator[Finding]:
+def _out_of_reach(rig: LoadedRig, script: LoadedScript) -> Iterator[PoseFault]:
     """Teat ends that the arm can't reach where it has to."""
     planned, truth = script.planned, script.script.truth
     axes = rig.rig.stage.axes if rig.rig.stage else ""
@@ -214,7 +214,7 @@ def _out_of_reach(rig: LoadedRig, script: LoadedScript) -> Iterator[Finding]:
             if way_to(unit, end, up, upright_only=upright_only) is None:
                 where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
                 text = f"the arm doesn't reach the end of {_name(phantom, teat)} at {where} mm"
-                yield Finding(name, "reach", text)
+                yield PoseFault(name, "reach", text)
 
 
 def way_to(

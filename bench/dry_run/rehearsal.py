@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.dry_run.pose_checks import USUAL_ARM, Finding, registered_at, way_to
+from bench.dry_run.pose_checks import USUAL_ARM, PoseFault, registered_at, way_to
 from bench.files import Picture
 from bench.record.reader import read_run
 from bench.record.schema import SCRIPT as SCRIPT_FILE
@@ -31,13 +31,13 @@ from bench.rig.emulated_rig import EmulatedRig, has_emulator
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import (
-    Cameras,
+    CamerasTable,
     Checks,
     EmulatedStage,
     Emulation,
     FocusTable,
     Placement,
-    Stage,
+    StageTable,
     usual_stage,
 )
 from bench.rig.opening import open_instruments
@@ -109,7 +109,7 @@ class Rehearsal:
     """``trials`` done, findings, what the run recovered from, frame sets rendered."""
 
     trials: int
-    findings: tuple[Finding, ...]
+    findings: tuple[PoseFault, ...]
     recovered: Mapping[str, int]
     rendered: int
 
@@ -129,7 +129,7 @@ class PicturelessStore(Store):
         return []
 
 
-class Course:
+class RehearsalProgress:
     """The progress of a rehearsal; ``shown`` gets how many trials have begun, of how many."""
 
     def __init__(self, planned: Sequence[PlannedTrial], shown: Callable[[int, int], None]) -> None:
@@ -163,7 +163,7 @@ def rehearse(
 ) -> Rehearsal:
     """Run ``script`` on the twin of ``rig``. Raises NoTwinError, KeyboardInterrupt."""
     clock, twin_rig, url = VirtualClock(), twin_of(rig, script, stage), rig.rig.operator.url
-    course = Course(script.planned, shown)
+    course = RehearsalProgress(script.planned, shown)
     events = Events(course)
     with TemporaryDirectory(prefix="teatbench-dry-run-") as folder:
         run = Path(folder) / "run"
@@ -176,7 +176,7 @@ def rehearse(
         ):
             store.fact("detectors", [])
             cameras = StandInCameras(twin, twin_rig, events, script.planned, detectors, course)
-            hands = ReachingHands(
+            hands = ReachOperator(
                 twin, twin_rig.rig.emulation.arm_placed, events, leans=url in PEOPLE
             )
             table = twin_rig.rig.cameras.model_copy(update={"checks": LENIENT})
@@ -197,10 +197,12 @@ def rehearse(
         return Rehearsal(len(read_run(run).trials), *_findings(lines), cameras.rendered)
 
 
-def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
+def _findings(
+    lines: Sequence[Mapping[str, Any]],
+) -> tuple[tuple[PoseFault, ...], Mapping[str, int]]:
     """What would end the run or cost a trial's truth; and what the run recovers from, counted."""
     where = BEFORE
-    found: dict[Finding, None] = {}
+    found: dict[PoseFault, None] = {}
     recovered: Counter[str] = Counter()
 
     def known(kind: str) -> bool:
@@ -214,14 +216,14 @@ def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], 
             continue
         elif kind in FINDINGS:
             if kind != "fault" or not known("interlock"):  # by which the run ends too
-                found[Finding(where, FINDINGS[kind], text)] = None
+                found[PoseFault(where, FINDINGS[kind], text)] = None
         elif kind in GOT_OVER:
             recovered[GOT_OVER[kind]] += 1
         # an arm that doesn't reach skips a trial and ends a run, and was found already
         elif kind == "skipped" and OPERATOR_SKIPPED in text and not known("reach"):
             recovered["the operator's script skips a trial"] += 1
         elif kind in ("skipped", "aborted") and not known("reach"):
-            found[Finding(where, "truth" if kind == "skipped" else kind, text)] = None
+            found[PoseFault(where, "truth" if kind == "skipped" else kind, text)] = None
     return tuple(found), recovered
 
 
@@ -252,7 +254,7 @@ def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -
         checks = checks.model_copy(update={"focus_px": FocusTable()})
     kept = r.cameras.model_dump(include={"settle_s", "max_skew_s", "retries", "retry_s"})
     tables: dict[str, object] = {
-        "cameras": Cameras(url=EMULATED).model_copy(update={**kept, "checks": checks}),
+        "cameras": CamerasTable(url=EMULATED).model_copy(update={**kept, "checks": checks}),
         "operator": r.operator.model_copy(update={"url": EMULATED}),
     }
     if r.simulated:
@@ -300,7 +302,7 @@ def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) ->
     return rig.rig.emulation.model_copy(update=update)
 
 
-def _configured(stage: Stage, known: StageSettings | None) -> bool:
+def _configured(stage: StageTable, known: StageSettings | None) -> bool:
     """Whether its high ends are not at 0, which of the emulated firmwares FluidNC has too. Where a
     plug-in's are is not known before it was asked; its places may be above 0.
     """
@@ -314,7 +316,7 @@ def _highs(known: StageSettings) -> list[float]:
 
 
 def _stage_settings(
-    rig: LoadedRig, script: LoadedScript, table: Stage, known: StageSettings | None
+    rig: LoadedRig, script: LoadedScript, table: StageTable, known: StageSettings | None
 ) -> tuple[dict[int, float], tuple[float, ...] | None]:
     """Settings by Grbl's numbers, and the machine coordinates of the high ends where they are not
     0: those ``known``, or a travel that no place of the script exceeds.
@@ -368,7 +370,7 @@ class StandInCameras:
         events: Events,
         planned: Sequence[PlannedTrial],
         detectors: Sequence[Detector],
-        course: Course,
+        course: RehearsalProgress,
     ) -> None:
         c = rig.calibration
         self._cameras: OpenCameras = twin.cameras
@@ -413,7 +415,7 @@ class StandInCameras:
                 self._events.event("detector", f"{detector.name}: {answer.detection.reason}")
 
 
-class ReachingHands:
+class ReachOperator:
     """The operator of ``twin``, who checks the arm's reach first: an emulated arm that is pulled
     too far hangs up, as if it had lost its cable. A person ``leans`` the stylus where that helps.
     """

@@ -36,14 +36,14 @@ class Weight(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class RecordFinding:
     """One sentence on the run."""
 
     weight: Weight
     text: str
 
 
-_damage, _note = partial(Finding, Weight.DAMAGE), partial(Finding, Weight.NOTE)
+_damage, _note = partial(RecordFinding, Weight.DAMAGE), partial(RecordFinding, Weight.NOTE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class CheckResult:
     """
 
     counts: Mapping[str, int]
-    findings: tuple[Finding, ...]
+    findings: tuple[RecordFinding, ...]
     head: Head
     unlooked: Head
 
@@ -78,7 +78,7 @@ def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
     """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
     folder = Path(run)
     with opened(folder) as db:
-        findings: list[Finding] = []  # what was found before something fails is kept
+        findings: list[RecordFinding] = []  # what was found before something fails is kept
         links: list[tuple[Any, ...]] = []
         counts = dict.fromkeys((*COUNTED, "files"), 0)
         try:
@@ -164,7 +164,7 @@ def shortened(damage: Sequence[str]) -> str:
 
 def _provenance(
     db: sqlite3.Connection, folder: Path, digest: str | None, links: list[tuple[Any, ...]]
-) -> Iterator[Finding]:
+) -> Iterator[RecordFinding]:
     """What the chain and the copied files say; ``links`` gets the chain's."""
     links += db.execute(f"SELECT {COLUMNS} FROM chain ORDER BY number")  # noqa: S608
     yield from _chain(db, links)
@@ -185,7 +185,7 @@ def _provenance(
         yield _damage(f"{name} can't be read: {error!r}. {hint}")
 
 
-def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
+def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[RecordFinding]:
     kept = dict(db.execute("SELECT path, sha256 FROM frames"))
     for path, sha256 in kept.items():
         yield from _file(folder, path, sha256)
@@ -202,7 +202,7 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
             yield _note(f"{path.as_posix()} belongs to no finished trial: {why}")
 
 
-def _guardians(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
+def _guardians(db: sqlite3.Connection, folder: Path) -> Iterator[RecordFinding]:
     """What a guardian wrote has to be what the next session found; the last one's isn't checked."""
     there = {path.name for path in folder.glob(GUARDIAN_FILES)}
     pattern = GUARDIAN_FACT.format(GUARDIAN_FILES)
@@ -221,7 +221,7 @@ def _guardians(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
             yield _damage(f"{name} is not as the next session found it")
 
 
-def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
+def _file(folder: Path, name: Any, sha256: Any) -> Iterator[RecordFinding]:
     if not isinstance(name, str):
         yield _damage(f"a file of the record has no name, but {name!r} in its place")
         return
@@ -236,7 +236,7 @@ def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
         )
 
 
-def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
+def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[RecordFinding]:
     """Each link follows from the one before, and covers the next rows, as they are."""
     chained = [table for table in tables_of(db) if table not in ("chain", FACTS)]
     before, ends, facts = Head(), dict.fromkeys(chained, 0), dict[str, str]()
@@ -274,7 +274,7 @@ def _rows(
     covers: dict[str, Any],
     wall: dict[str, Any],
     ends: dict[str, int],
-) -> Iterator[Finding]:
+) -> Iterator[RecordFinding]:
     for table, (first, last, plain) in covers.items():
         if first != (wanted := ends[table] + 1):
             begins = f"link {number} of the chain begins with row {first} of {table}"

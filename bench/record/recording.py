@@ -22,7 +22,7 @@ from bench.record.schema import DATABASE
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
-from textfiles.tables import Row, TableError, read_table
+from textfiles.tables import TableError, TextRow, read_table
 from textfiles.text import TextError, text_of
 from textfiles.whole import new_folders, replace_whole, take_place
 
@@ -137,7 +137,7 @@ class Recording:
                 raise RecordingError(f"the ends of {names} are {apart:.2f} mm apart: {what}")
 
 
-def _truth_row(row: Row) -> tuple[str, TruthRow]:
+def _truth_row(row: TextRow) -> tuple[str, TruthRow]:
     x, y, z = (row.number(name, "mm") for name in LENGTHS)
     frame, situation, teat, visible = (row.cells[name] for name in (*COLUMNS[:3], "visible"))
     if visible not in ("0", "1"):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.wording import NOT_MEASURED, key_values, number, spanned, table
 from bench.results.headline import guardian_text
-from bench.results.teat_temperature import Figures, Surface, surface
+from bench.results.teat_temperature import Surface, TemperatureInputs, surface
 from bench.safety.interlocks import RULES
 from bench.script.model import Rules, Script
 from reports.figures.course import bath_curve, bath_sparkline
@@ -85,7 +85,7 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
     figures = run.facts.get("bath figures")
     if figures is None or trial.head["captured_s"] is None:
         return None
-    return surface(*readings_at(run, trial), Figures(**figures))
+    return surface(*readings_at(run, trial), TemperatureInputs(**figures))
 
 
 def capture_text(run: RunRecord, trial: TrialRecord) -> str:

@@ -11,15 +11,15 @@ from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.chunk import FALSE_SD_MM, WRONG_MM, WRONG_SD, Bench, Scene
+from bench.campaign.chunk import FALSE_SD_MM, WRONG_MM, WRONG_SD, Bench, SceneId
 from bench.campaign.numbers import (
     FEWEST,
     MAPPED,
     WORST,
+    FailureMap,
+    FailureTrend,
     FamilyRate,
-    Map,
     Numbers,
-    Parameter,
     campaign_numbers,
 )
 from bench.campaign.plan import CampaignPlan
@@ -224,7 +224,7 @@ def _figures(numbers: Numbers, plan: CampaignPlan) -> Iterator[Figure]:
         yield _map_figure(each, number, plan)
 
 
-def _map_figure(one: Map, number: int, plan: CampaignPlan) -> Figure:
+def _map_figure(one: FailureMap, number: int, plan: CampaignPlan) -> Figure:
     first, second = one.parameters
     ranges = [_range(each, plan.first) for each in one.parameters]
     labels = (_label(first.name, ranges[0]), _label(second.name, ranges[1]))
@@ -241,7 +241,7 @@ def _map_figure(one: Map, number: int, plan: CampaignPlan) -> Figure:
     return Figure(svg, caption, alt)
 
 
-def _range(parameter: Parameter, first: int) -> tuple[float, float] | None:
+def _range(parameter: FailureTrend, first: int) -> tuple[float, float] | None:
     """The parameter's range, where all members have the same."""
     known = set()
     for seed in range(first, first + 40):
@@ -269,11 +269,11 @@ def _looked_at(
     folder: Path, numbers: Numbers, plan: CampaignPlan, bench: Bench
 ) -> tuple[tuple[Highlight, ...], tuple[TrialPart, ...]]:
     """The worst scenes, each detector's in turn, and a typical one of the first, drawn again."""
-    why: dict[Scene, str] = {}
+    why: dict[SceneId, str] = {}
     several = len(numbers.detectors) > 1
     for nth, word in enumerate(("Worst", "Second worst", "Third worst")):
         for name, rows in numbers.worst.items():
-            of = [Scene(str(family), int(str(number))) for family, number, *_ in rows]
+            of = [SceneId(str(family), int(str(number))) for family, number, *_ in rows]
             new = [scene for scene in of if scene not in why]
             if len(of) > nth and new and len(why) < max(LOOKED_AT, len(numbers.detectors)):
                 why[new[0]] = f"{word} of {name}" if several else word
@@ -311,7 +311,7 @@ def _worst(numbers: Numbers, folder: Path, drawn: Mapping[str, str]) -> Part:
     rows = []
     for each in numbers.worst.values():
         for family, number, detector, failure, found, visible, false, sure, max_mm in each:
-            name = Scene(str(family), int(str(number))).name
+            name = SceneId(str(family), int(str(number))).name
             command = f"teatbench campaign show {in_command(folder)} {name}"
             counts = f"{found} of {visible}", false, sure, max_mm
             shown = Cell(name, href=drawn.get(name, ""))
@@ -322,7 +322,7 @@ def _worst(numbers: Numbers, folder: Path, drawn: Mapping[str, str]) -> Part:
 
 
 def _depends(numbers: Numbers) -> Part:
-    shown: dict[tuple[str, str], list[Parameter]] = defaultdict(list)
+    shown: dict[tuple[str, str], list[FailureTrend]] = defaultdict(list)
     for one in numbers.parameters:
         if len(shown[one.family, one.detector]) < 2:
             shown[one.family, one.detector].append(one)

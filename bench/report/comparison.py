@@ -24,8 +24,8 @@ from bench.results.comparison import Comparison, Side, compare_folders, compare_
 from bench.results.error_rows import truth_gage
 from bench.scoring.comparison import (
     ALPHA,
+    ComparisonRow,
     PairedDifference,
-    Row,
     ScenePair,
     chance_text,
     common_errors,
@@ -182,12 +182,12 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
     return table("compared_distance", rows, note=capped_text(comparison))
 
 
-def _rows(comparison: Comparison) -> tuple[Row, ...]:
+def _rows(comparison: Comparison) -> tuple[ComparisonRow, ...]:
     found = comparison.compared
     return (found.pooled, *(found.situations if len(found.situations) > 1 else ()))
 
 
-def _name(row: Row) -> str:
+def _name(row: ComparisonRow) -> str:
     return spoken(row.situation) if row.situation else "all"
 
 

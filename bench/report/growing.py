@@ -23,7 +23,7 @@ from bench.report.glossary import terms
 from bench.report.trials import trial_part
 from detector.calibration import Calibration
 from reports.page import TrialPart
-from reports.render import TrialPress, in_page
+from reports.render import TrialRenderer, in_page
 
 MOST_MORE = 20  # trials at once beside the last: a fraction of a second
 REPORT, CALIBRATION = "report", "calibration.toml"
@@ -61,7 +61,7 @@ class TrialParts:
             return
         file = run.folder / CALIBRATION
         sha256, calibration = sha256_of(file), read_calibration(file, doubtful=True)
-        press = TrialPress(run.detectors, terms())
+        press = TrialRenderer(run.detectors, terms())
         for trial in run.trials:
             part = _drawn(run, trial, calibration, run.folder / REPORT, press)
             self._kept[_digest(run, trial, sha256)] = zlib.compress(pickle.dumps(part), 1)
@@ -70,7 +70,7 @@ class TrialParts:
         self, run: RunRecord, calibration: Calibration, folder: Path, copied: Collection[str] | None
     ) -> Iterator[TrialPart]:
         """Each trial's part for a page in ``folder``; images where ``copied``, or all for None."""
-        press = TrialPress(run.detectors, terms())
+        press = TrialRenderer(run.detectors, terms())
         sha256 = sha256_of(run.folder / CALIBRATION) if self._kept else ""
         folder.mkdir(parents=True, exist_ok=True)  # images are found from it
         for trial in run.trials:
@@ -90,7 +90,7 @@ class TrialParts:
 
 
 def _drawn(
-    run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path, press: TrialPress
+    run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path, press: TrialRenderer
 ) -> TrialPart:
     part = trial_part(run, trial, calibration, folder, copied=())
     return replace(part, images=(), summary=(), tables=(), notes=(), drawn=press(part))

@@ -26,7 +26,7 @@ from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.control_chart import BASE
 from reports.figures.course import control_chart
 from reports.page import Figure, Verdict
-from reports.runs import PAGE, Result, Run, Runs, write_runs
+from reports.runs import PAGE, DetectorResult, Run, Runs, write_runs
 from textfiles.text import plural, range_text, sentence
 
 THUMBNAIL_PX = (200, 150)
@@ -111,14 +111,14 @@ def _listed(folder: Path) -> Run:
         )
 
 
-def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:
+def _results(run: RunRecord, status: RunStatus) -> Iterator[DetectorResult]:
     for name in run.detectors:
         pool, item = scored(run, name), run.facts["items"].get(name, {})
         radial, counts = np.linalg.norm(pool.errors_mm, axis=1), pool.counts
         middle, largest = (float(f(radial)) if len(radial) else None for f in (np.median, np.max))
         verdict, version = cast(Verdict, status.verdicts[name]), str(item.get("version", ""))
         numbers = (counts.visible, counts.matched, counts.false if pool.answered else None)
-        yield Result(name, version, verdict, *numbers, middle, largest)
+        yield DetectorResult(name, version, verdict, *numbers, middle, largest)
 
 
 def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
+from bench.campaign.chunk import Bench, SceneId, digest_of_frames, draw_scene
 from bench.campaign.plan import CampaignPlan, differences, open_plan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
@@ -34,7 +34,7 @@ NOTHING = dict.fromkeys(("captured_s", "bath_c", "bath_state", "note", "invalid"
 
 
 def draw_again(
-    bench: Bench, scenes: Sequence[Scene], folder: Path, title: str
+    bench: Bench, scenes: Sequence[SceneId], folder: Path, title: str
 ) -> tuple[RunRecord, Calibration]:
     """The scenes as the trials of a run, with their frames in ``folder``/scenes, and the
     calibration that detectors were given. Raises OSError.
@@ -87,12 +87,12 @@ def show_scenes(
         last = plan.first + plan.most_scenes - 1
         inside = number.isdecimal() and plan.first <= int(number) <= last
         if family not in plan.families or not inside:
-            example = Scene(plan.families[0], plan.first).name
+            example = SceneId(plan.families[0], plan.first).name
             raise ConfigError.plain(
                 f"{folder} has no scene {name!r}; it has members {range_text(plan.first, last)} of"
                 f" {', '.join(plan.families)}, named as {example}"
             )
-        scenes.append(Scene(family, int(number)))
+        scenes.append(SceneId(family, int(number)))
     job, made_by = open_plan(plan)
     detectors = job.make_detectors()
     title = plan.title or "Campaign"

@@ -151,7 +151,10 @@ def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
     """The stages that the record can hold, and a note of how many it can't."""
     stages = trace if isinstance(trace, tuple | list) else (trace,)
     kept = {
-        stage.name.casefold().replace(" ", "-"): stage
+        # copies, as the detector may fill its buffers again
+        stage.name.casefold().replace(" ", "-"): Stage(
+            stage.name, {key: value.copy() for key, value in stage.data.items()}
+        )
         for stage in reversed(stages[:MOST_STAGES])
         if _holds(stage)
     }
@@ -339,7 +342,9 @@ def _nothing(why: str) -> Detection:
 
 
 class _ReadOnlyFrames:
-    """A frame set for one detector: read-only, so that it can't change what others see."""
+    """A frame set for one detector: read-only, and copied, since a library in C does not ask. So it
+    can't change what others see and what is stored.
+    """
 
     def __init__(self, frames: Frames) -> None:
         self.left, self.right = _fixed(frames.left), _fixed(frames.right)
@@ -348,7 +353,7 @@ class _ReadOnlyFrames:
 
 
 def _fixed(picture: Any) -> Any:
-    view = None if picture is None else picture.view()
-    if view is not None:
-        view.setflags(write=False)
-    return view
+    own = None if picture is None else picture.copy()
+    if own is not None:
+        own.setflags(write=False)
+    return own

@@ -14,7 +14,7 @@ import numpy as np
 from bench.record.reader import RunRecord, TrialRecord
 from bench.results.cameras_agree import DEFAULT, answers_of, cameras_of, share_shift
 from bench.results.status import state_in
-from bench.safety.stability import State
+from bench.safety.stability import BathState
 from bench.scoring.joint import radial_95_mm
 from detector.calibration import Calibration
 
@@ -71,7 +71,7 @@ def attributed(
         for what, teat, cause, why in _wrong(trial, detector):
             if trial.invalid is not None:
                 cause, why = Cause.TRUTH, trial.invalid
-            elif bath not in (None, State.STABLE.value) and cause is Cause.DETECTOR:
+            elif bath not in (None, BathState.STABLE.value) and cause is Cause.DETECTOR:
                 cause = Cause.BENCH
                 why = f"the bath was {bath}, not stable, when the frames were taken"
             elif cause is Cause.DETECTOR and depth_mm > 0.5 * trial.scores[detector].limit_mm:

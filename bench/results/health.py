@@ -26,7 +26,7 @@ from bench.record.state import State, holder_of
 from bench.results.cameras_agree import cameras_of
 from bench.results.stated_arm import STATED_FACT, check_touches
 from bench.results.verdicts import scored
-from bench.scoring.control_chart import FAR, ControlLimits, Trend, broken, limits_of, trend
+from bench.scoring.control_chart import FAR, ChartTrend, ControlLimits, broken, limits_of, trend
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.truth.arm_check import BEFORE, CHECK_FACT, location_of, shift_mm
 from instruments.camera.quality import edge_blur_px, level_dn
@@ -41,7 +41,7 @@ MOST_WARNINGS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class HealthQuantity:
     """``what`` is said of it, its unit, digits, and the smallest scatter that means anything;
     without ``limits`` it is shown only.
     """
@@ -53,21 +53,21 @@ class Quantity:
     limits: bool = True
 
 
-QUANTITIES: Mapping[str, Quantity] = {
-    "check_offset_mm": Quantity("check point: off by", "mm", 2, 0.02),
-    "check_scatter_mm": Quantity("check touches: scatter", "mm", 2, 0.01),
-    "arm_ratio": Quantity("arm: scatter over what is stated of it", "", 2, 0.05),
-    "stable_min": Quantity("bath: time to stability", "min", 1, 0.2),
-    "overshoot_k": Quantity("bath: overshoot", "K", 2, 0.01),
-    "disparity_px": Quantity("cameras: disparity of the known ends", "px", 2, 0.02),
-    "left_blur_px": Quantity("left camera: blur", "px", 2, 0.05),
-    "right_blur_px": Quantity("right camera: blur", "px", 2, 0.05),
-    "left_level": Quantity("left camera: brightest grey level", "", 0, 1.0),
-    "right_level": Quantity("right camera: brightest grey level", "", 0, 1.0),
-    "calibration_days": Quantity("calibration: age", "days", 0, 1.0, limits=False),
+QUANTITIES: Mapping[str, HealthQuantity] = {
+    "check_offset_mm": HealthQuantity("check point: off by", "mm", 2, 0.02),
+    "check_scatter_mm": HealthQuantity("check touches: scatter", "mm", 2, 0.01),
+    "arm_ratio": HealthQuantity("arm: scatter over what is stated of it", "", 2, 0.05),
+    "stable_min": HealthQuantity("bath: time to stability", "min", 1, 0.2),
+    "overshoot_k": HealthQuantity("bath: overshoot", "K", 2, 0.01),
+    "disparity_px": HealthQuantity("cameras: disparity of the known ends", "px", 2, 0.02),
+    "left_blur_px": HealthQuantity("left camera: blur", "px", 2, 0.05),
+    "right_blur_px": HealthQuantity("right camera: blur", "px", 2, 0.05),
+    "left_level": HealthQuantity("left camera: brightest grey level", "", 0, 1.0),
+    "right_level": HealthQuantity("right camera: brightest grey level", "", 0, 1.0),
+    "calibration_days": HealthQuantity("calibration: age", "days", 0, 1.0, limits=False),
 }
 FOUND = "found by {}, {}:"  # detector, script: of the visible ends
-RATE = Quantity("", "%", 1, 1.0)
+RATE = HealthQuantity("", "%", 1, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class Chart:
     values: tuple[float, ...]
     limits: ControlLimits | None
     rules: tuple[str, ...]
-    trend: Trend | None
+    trend: ChartTrend | None
 
     @property
     def last(self) -> str:

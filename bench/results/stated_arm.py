@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri, ndtr
 
 from bench.rig.arm_files import LengthTest, LocationTest, Verification, from_dict
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.scoring.stated_u import (
     LIMIT_LEVEL,
     StatedCheck,
@@ -30,7 +30,7 @@ STATED_FACT = "arm uncertainty"
 VERIFICATION_FACT = "arm verification"
 
 
-def stated_fact(arm: Arm) -> dict[str, Any]:
+def stated_fact(arm: ArmTable) -> dict[str, Any]:
     """What the rig file states of the arm; ``df`` None: taken as exact."""
     return {
         "u_mm": arm.accuracy_mm,
@@ -112,7 +112,7 @@ def drift_limit_mm(
     return _drift_mm(stated, sizes)
 
 
-def unmoved_mm(rules: Iterable[Requirement], arm: Arm) -> float:
+def unmoved_mm(rules: Iterable[Requirement], arm: ArmTable) -> float:
     """How near to the mean of an earlier check's touches one more has to be to show that nothing
     has moved: as two whole checks may differ.
     """

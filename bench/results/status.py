@@ -53,7 +53,7 @@ GOING_TO_SAFE = "going to safe"
 ALL_SAFE = "all instruments are safe"
 
 
-class Link(StrEnum):
+class LinkState(StrEnum):
     """What is known of the way to an instrument."""
 
     ANSWERS = "answers"
@@ -82,7 +82,7 @@ class InstrumentStatus:
     """
 
     name: str
-    link: Link
+    link: LinkState
     safe: Safe
     _: KW_ONLY
     last: str = ""
@@ -93,7 +93,7 @@ class InstrumentStatus:
     @property
     def trouble(self) -> bool:
         """Whether a person has to see it at once."""
-        return bool(self.by_hand) or self.link in (Link.SILENT, Link.AWAY)
+        return bool(self.by_hand) or self.link in (LinkState.SILENT, LinkState.AWAY)
 
     @property
     def text(self) -> str:
@@ -102,7 +102,7 @@ class InstrumentStatus:
         """
         if self.by_hand:
             return ": ".join(filter(None, (self.by_hand, silent(self.how, self.age_s))))
-        if self.link is Link.ANSWERS:
+        if self.link is LinkState.ANSWERS:
             age_s = self.age_s or 0.0
             ago = f"{time_text(age_s)} ago" if age_s >= SILENT_S else ""
             if self.last:
@@ -110,7 +110,7 @@ class InstrumentStatus:
             known = "connected" if self.age_s is None else "answers"
             return f"{self.name}: {f'answered {ago}' if ago else known}"
         last = f" (last {self.last})" if self.last else ""
-        if self.link in (Link.SILENT, Link.AWAY):
+        if self.link in (LinkState.SILENT, LinkState.AWAY):
             # a bath is asked every second, the others when they are needed
             since = " for {}" if self.name == "bath" else ", last heard {} ago"
             since = "" if self.age_s is None else since.format(time_text(self.age_s))
@@ -208,7 +208,7 @@ class RunStatus:
     @property
     def at_end(self) -> tuple[InstrumentStatus, ...]:
         """The instruments as they stand at the end, their links closed."""
-        return tuple(replace(one, link=Link.CLOSED) for one in self.instruments)
+        return tuple(replace(one, link=LinkState.CLOSED) for one in self.instruments)
 
     @property
     def trials(self) -> str:
@@ -456,12 +456,12 @@ def _left(run: RunRecord, state: State, live: RunStatus | None) -> tuple[Instrum
             stored["instruments"]
         )
         if not left and run.guardian:  # it got the bath, heated by another run, before the end
-            left = (InstrumentStatus("bath", Link.CLOSED, Safe.UNKNOWN),)
+            left = (InstrumentStatus("bath", LinkState.CLOSED, Safe.UNKNOWN),)
         return tuple(_since(one, run.guardian) for one in left)
     guardian, alone = run.guardian, run.facts.get("guardian") == NO_GUARDIAN
     known = live.instruments if live else ()
     if guardian and not known:
-        known = (InstrumentStatus("bath", Link.UNKNOWN, Safe.UNKNOWN),)
+        known = (InstrumentStatus("bath", LinkState.UNKNOWN, Safe.UNKNOWN),)
     return tuple(_orphaned(one, guardian, alone=alone) for one in known)
 
 
@@ -479,7 +479,7 @@ def _orphaned(
 ) -> InstrumentStatus:
     """An instrument whose bench has died: what the guardian found, if it had to act."""
     last = one.last.partition(",")[0] if one.name == "bath" else one.last  # it heats no more
-    one = replace(one, link=Link.UNKNOWN, last=last, how="", by_hand="")
+    one = replace(one, link=LinkState.UNKNOWN, last=last, how="", by_hand="")
     if one.safe in (Safe.AT_REST, Safe.READ_BACK) or alone:  # emulators end with their bench
         return replace(one, safe=Safe.AT_REST if alone else one.safe)
     if not guardian or one.name not in BY_HAND:

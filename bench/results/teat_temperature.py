@@ -22,7 +22,7 @@ SENSOR_SPAN_K = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Component:
+class Contribution:
     """One contribution: ``u_k`` is a standard uncertainty."""
 
     name: str
@@ -36,7 +36,7 @@ class Surface:
 
     temp_c: float
     how: str
-    components: tuple[Component, ...]
+    components: tuple[Contribution, ...]
 
     @property
     def u_k(self) -> float:
@@ -45,7 +45,7 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class TemperatureInputs:
     """What the rig file says: the room, and the sensors' standard uncertainties."""
 
     room_c: float = 20.0
@@ -54,20 +54,20 @@ class Figures:
 
 
 def surface(
-    bath_c: Sequence[float], external_c: Sequence[float], figures: Figures
+    bath_c: Sequence[float], external_c: Sequence[float], figures: TemperatureInputs
 ) -> Surface | None:
     """From a sensor at the phantom if there is one, else from the bath's; None without either."""
     readings = external_c or bath_c
     if not readings:
         return None
     mean_c, change_k = fmean(readings), (max(readings) - min(readings)) / math.sqrt(12.0)
-    steady = Component("change during the capture", change_k, f"{len(readings)} readings")
+    steady = Contribution("change during the capture", change_k, f"{len(readings)} readings")
     if external_c:
         sensor_k, place_k = figures.external_accuracy_k, SENSOR_SPAN_K / math.sqrt(3.0)
         place = f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat"
-        components: tuple[Component, ...] = (
-            Component("sensor at the phantom", sensor_k, "rig file, external_accuracy_k"),
-            Component("the sensor's place", place_k, place),
+        components: tuple[Contribution, ...] = (
+            Contribution("sensor at the phantom", sensor_k, "rig file, external_accuracy_k"),
+            Contribution("the sensor's place", place_k, place),
             steady,
         )
         return Surface(mean_c, "external sensor at the phantom", components)
@@ -77,9 +77,9 @@ def surface(
     per_k = below_water_k(1.0, 0.0)  # it is linear
     film_k, room_k = abs(slow - fast) / math.sqrt(12.0), ROOM_SPAN_K * per_k / math.sqrt(3.0)
     components = (
-        Component("bath's own sensor", figures.accuracy_k, "rig file, accuracy_k"),
-        Component("film inside the teat", film_k, "300 to 1500 W/m²K"),
-        Component("room", room_k, f"± {ROOM_SPAN_K:g} K"),
+        Contribution("bath's own sensor", figures.accuracy_k, "rig file, accuracy_k"),
+        Contribution("film inside the teat", film_k, "300 to 1500 W/m²K"),
+        Contribution("room", room_k, f"± {ROOM_SPAN_K:g} K"),
         steady,
     )
     return Surface(supply_c - below_water_k(supply_c, room_c), "plant model", components)

@@ -17,10 +17,7 @@ from bench.config import ConfigError, checked, did_you_mean
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.frame_capture import FrameChecks
 from bench.rig.loading import AnyRig, LoadedRig, any_rig, find_rig, load_rig
-from bench.rig.model import Bath as BathTable
-from bench.rig.model import Cameras as CamerasTable
-from bench.rig.model import OneCamera, camera_url
-from bench.rig.model import Stage as StageTable
+from bench.rig.model import BathTable, CamerasTable, OneCamera, StageTable, camera_url
 from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
 from bench.rig.urls import ELSEWHERE, bath_url, is_emulated, stage_url
 from instruments.bath.driver import Bath

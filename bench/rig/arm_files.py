@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, TypeAdapter
 
-from bench.config import KeyPath, Section, located, read_config, read_text
+from bench.config import FileTable, KeyPath, located, read_config, read_text
 from bench.toml import toml_text
 from detector.geometry import Motion
 from textfiles.text import plural
@@ -49,7 +49,7 @@ APART_MM = 100.0
 _STEP_MM = 1e-3
 
 
-class FrameError(ValueError):
+class TableFrameError(ValueError):
     """The touches give no frame."""
 
 
@@ -78,12 +78,12 @@ class TableFrame:
     ) -> TableFrame:
         """From at least three touches, as `DEFINING`, then check points. Raises FrameError."""
         if len(points) < len(DEFINING):
-            raise FrameError(
+            raise TableFrameError(
                 f"a table frame needs three touches (origin, on x, in the plane), not {len(points)}"
             )
         names = [point.name for point in points]
         if len(set(names)) < len(names):
-            raise FrameError(f"two touches have the same name: {', '.join(names)}")
+            raise TableFrameError(f"two touches have the same name: {', '.join(names)}")
         motion = world_from_arm([point.arm_mm for point in points[:3]])
         return cls(made, serial_number, tuple(points), motion)
 
@@ -131,14 +131,14 @@ def world_from_arm(touched_mm: ArrayLike) -> Motion:
     """From touches (3, 3) mm: origin, on x, in the plane. Raises FrameError if in a line."""
     touched = np.asarray(touched_mm, dtype=np.float64)
     if touched.shape != (3, 3) or not np.isfinite(touched).all():
-        raise FrameError(
+        raise TableFrameError(
             f"a table frame is made of three points in space, not of {touched.tolist()}"
         )
     origin, on_x, in_plane = touched
 
     def direction(way: Floats, sentence: str) -> Floats:
         if (distance_mm := float(np.linalg.norm(way))) < APART_MM:
-            raise FrameError(
+            raise TableFrameError(
                 f"{sentence.format(f'{distance_mm:.1f} mm')}; {APART_MM:g} mm are needed. Touch a"
                 " point further away"
             )
@@ -387,7 +387,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Three = tuple[Number, Number, Number]
 
 
-class _Point(Section):
+class _Point(FileTable):
     name: str
     arm_mm: Three
     spread_mm: NotNegative
@@ -395,7 +395,7 @@ class _Point(Section):
     residual_mm: NotNegative | None = None
 
 
-class _ArmFile(Section):
+class _ArmFile(FileTable):
     made: AwareDatetime
     serial_number: str
 
@@ -407,7 +407,7 @@ class _FrameFile(_ArmFile):
     points: Annotated[tuple[_Point, ...], Field(min_length=3)]
 
 
-class _Location(Section):
+class _Location(FileTable):
     where: str
     n: int
     largest_mm: NotNegative
@@ -418,7 +418,7 @@ class _Location(Section):
     axes: Annotated[tuple[Three, ...], Field(min_length=2)] | None = None
 
 
-class _Length(Section):
+class _Length(FileTable):
     where: str
     calibrated_mm: Annotated[float, Field(gt=0)]
     calibrated_u_mm: NotNegative = 0.0
@@ -428,7 +428,7 @@ class _Length(Section):
     ends_mm2: tuple[Three, Three, Three] | None = None
 
 
-class _LimitsTable(Section):
+class _LimitsTable(FileTable):
     location_mm: Annotated[float, Field(gt=0)]
     length_mm: Annotated[float, Field(gt=0)] | None = None
 
@@ -472,7 +472,7 @@ def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
     points = [TouchedPoint(p.name, p.arm_mm, p.spread_mm, p.world_mm) for p in file.points]
     try:
         frame = TableFrame.from_touches(file.made, file.serial_number, points)
-    except FrameError as error:
+    except TableFrameError as error:
         raise located(path, read_text(path), [(("points",), str(error), False)]) from error
     refuse_changed(path, file, _frame_table(frame))
     return frame
@@ -525,7 +525,7 @@ def load_verification(path: Path) -> Verification:
     return found
 
 
-def refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:
+def refuse_changed(path: Path, file: FileTable, follows: Mapping[str, Any]) -> None:
     """Raises ConfigError where values of ``file`` aren't those that follow from its touches."""
     message = "doesn't follow from what was touched: the file was changed by hand. Make it anew"
     wrong = [(key, message, False) for key in _differ(file.model_dump(), follows, ())]

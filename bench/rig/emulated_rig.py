@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bench.config import located, toml_of
 from bench.rig.hand_over import forget_guardian
 from bench.rig.loading import LoadedRig
-from bench.rig.model import EmulatedFault, EmulatedStage, Rig, Stage, make_renderer
+from bench.rig.model import EmulatedFault, EmulatedStage, Rig, StageTable, make_renderer
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
 from instruments.bath.line_emulator import LineEmulator, dialect_of
@@ -237,7 +237,7 @@ class EmulatedRig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _stage(self, rig: Rig, said: Stage) -> StageEmulator:
+    def _stage(self, rig: Rig, said: StageTable) -> StageEmulator:
         """As the rig file has it."""
         errors = rig.emulation.stage
         axes = 4 if "A" in said.axes else 3
@@ -268,7 +268,7 @@ class EmulatedRig:
         return stage
 
     def _mounted(
-        self, errors: EmulatedStage, said: Stage, position_mm: Callable[[], Sequence[float]]
+        self, errors: EmulatedStage, said: StageTable, position_mm: Callable[[], Sequence[float]]
     ) -> Mounting:
         """Have the phantom stand on the stage; how it is mounted there."""
         reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)

@@ -26,8 +26,7 @@ from serial.tools import list_ports
 
 from bench.config import ConfigError, did_you_mean, parse_config, read_text, write_file
 from bench.rig.loading import MISSING, PLACES, TO_COPY
-from bench.rig.model import Arm, Rig, camera_url
-from bench.rig.model import Bath as BathTable
+from bench.rig.model import ArmTable, BathTable, Rig, camera_url
 from bench.rig.opening import open_instruments, rig_of
 from bench.rig.urls import bath_url, serial_url
 from bench.toml import value_text
@@ -169,7 +168,7 @@ def _marlin_or_zaber(url: str, clock: Clock) -> FoundInstrument | None:
 
 
 def _arm(url: str, clock: Clock) -> FoundInstrument | None:
-    rig = rig_of(arm=Arm.model_construct(url=url))
+    rig = rig_of(arm=ArmTable.model_construct(url=url))
     with open_instruments(rig, ("arm",), clock) as devices:
         try:
             identity = asdict(devices.arm.sign_on())

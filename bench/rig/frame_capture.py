@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.rig.model import Cameras as CamerasTable
+from bench.rig.model import CamerasTable
 from detector.calibration import Calibration
 from detector.geometry import Array
 from instruments.camera.cameras import CAN_GIVE

@@ -29,7 +29,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +56,7 @@ MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
 IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
-class Record:
+class GuardianRecord:
     """What the guardian writes down, at ``path``: one state at a time, from any thread."""
 
     def __init__(self, path: Path, facts: dict[str, Any]) -> None:
@@ -169,9 +168,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     facts |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
     # of a stage alone there is no standby
     facts |= {"standby": False, "tries": 0, "error": "not tried yet"} if bath else {}
-    record = Record(given.record, facts)
+    record = GuardianRecord(given.record, facts)
     lock.acts()
-    end_bench = partial(_end, watched, record) if cause == "hung" else None
+    # one that hangs and holds the port; its record is whole at every moment
+    end_bench = (lambda: record.add(killed=watched.end())) if cause == "hung" else None
     with _handed_over(lock, record):
         # a bench that could not reach its bath has seen to its stage itself
         if stop and (cause != "gave up" or bath is None):
@@ -203,7 +203,7 @@ def _tell_bench(echo: int, line: str) -> None:
 
 
 @contextlib.contextmanager
-def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
+def _handed_over(lock: BathLock, record: GuardianRecord) -> Iterator[None]:
     """What is done within ends, and this process, once another guardian waits for the bath."""
     over = threading.Event()
 
@@ -263,7 +263,7 @@ def _raise_priority() -> dict[str, Any]:
 
 
 def _make_safe(
-    bath: AnyBath, clock: RealClock, record: Record, end_bench: Callable[[], None] | None
+    bath: AnyBath, clock: RealClock, record: GuardianRecord, end_bench: Callable[[], None] | None
 ) -> bool:
     """Standby, tried for GIVE_UP_S. ``end_bench`` as in `retried`."""
 
@@ -278,7 +278,7 @@ def _make_safe(
     return retried(stand_by, clock, GIVE_UP_S, note, end_bench)
 
 
-def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: float) -> None:
+def _run_pump_on(bath: AnyBath, clock: RealClock, record: GuardianRecord, overrun_s: float) -> None:
     """Let the pump carry off the heater's heat, then stop it, unless the bath is started again."""
     try:
         bath.set(PUMP, ON)
@@ -289,11 +289,6 @@ def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: flo
         record.add(pump=f"ran on for {overrun_s:g} s and is off")
     except InstrumentError as error:
         record.add(pump=f"was left as it was: {error}")
-
-
-def _end(bench: WatchedBench, record: Record) -> None:
-    """End a bench that hangs and holds the port; its record is whole at every moment."""
-    record.add(killed=bench.end())
 
 
 def _text(when: datetime) -> str:

@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 
 from bench.config import (
     ConfigError,
+    FileTable,
     KeyPath,
-    Section,
     did_you_mean,
     find_places,
     located,
@@ -245,7 +245,7 @@ def _loaded(load: Callable[[], T]) -> T:
 BOARDS = Path(__file__).parents[1] / "boards"
 
 
-class BoardFile(Section):
+class BoardFile(FileTable):
     """``columns``, ``rows`` of inner corners or circles, and ``pitch_mm`` with ``pitch_u_mm``."""
 
     kind: BoardKind

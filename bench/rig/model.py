@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from bench.config import Millimetres, Point, Positive, Radians, Section, did_you_mean
+from bench.config import FileTable, Millimetres, Point, Positive, Radians, did_you_mean
 from bench.rig.urls import (
     ELSEWHERE,
     EMULATED,
@@ -61,7 +61,7 @@ ROUNDING_MM = 0.105 / math.sqrt(3.0)
 Baud = Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200]
 
 
-class Arm(Section):
+class ArmTable(FileTable):
     url: Annotated[str, AfterValidator(arm_url)]
     baud: Baud = 115200
     answer_s: Annotated[float, Field(ge=0.05, le=60)] = 0.12
@@ -82,7 +82,7 @@ class Arm(Section):
     check_touches: Annotated[int, Field(ge=2, le=100)] = 5
 
     @model_validator(mode="after")
-    def _stated(self) -> Arm:
+    def _stated(self) -> ArmTable:
         if points_url(self.url) and not {"accuracy_mm", "accuracy_source"} <= self.model_fields_set:
             raise ValueError(
                 "accuracy_mm and accuracy_source are needed: the standard uncertainty of a point of"
@@ -134,7 +134,7 @@ def _day_or_none(text: str) -> str:
         raise ValueError('no such day; write it as "2026-11-20"') from None
 
 
-class Bath(Section):
+class BathTable(FileTable):
     url: Annotated[str, AfterValidator(bath_url)]
     profile: Annotated[str, _profile(profile_names, needed=False)] = ""
     allow_inferred: bool = False
@@ -147,7 +147,7 @@ class Bath(Section):
     unit_confirmed: Annotated[str, AfterValidator(_day_or_none)] = ""
 
     @model_validator(mode="after")
-    def _known(self) -> Bath:
+    def _known(self) -> BathTable:
         plugged = plugin_url(self.url) is not None
         if plugged == bool(self.profile):
             raise ValueError(
@@ -158,7 +158,7 @@ class Bath(Section):
         return self
 
 
-class Stage(Section):
+class StageTable(FileTable):
     url: Annotated[str, AfterValidator(stage_url)]
     baud: Literal[9600, 19200, 38400, 57600, 115200, 250000] = 115200
     dialect: Literal["grbl", "marlin"] = "grbl"
@@ -201,7 +201,7 @@ class Stage(Section):
         return kept | {"url": f"{place}:zaber?{urlencode(keys, safe=',:/')}"}
 
     @model_validator(mode="after")
-    def _can_turn(self) -> Stage:
+    def _can_turn(self) -> StageTable:
         if self.dialect == "marlin" and "A" in self.axes:
             raise ValueError(
                 'a Marlin stage is driven in X, Y and Z only; declare axes without "A"'
@@ -246,7 +246,7 @@ def camera_url(url: str) -> str:
     )
 
 
-class OneCamera(Section):
+class OneCamera(FileTable):
     """One camera: where it is, what it is set to, and how its frames stand."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -308,7 +308,7 @@ def _profile_of(name: str) -> str:
     return name
 
 
-class RadiometricTable(Section):
+class RadiometricTable(FileTable):
     """What a count is: by a ``profile`` of a make, or by its own figures."""
 
     profile: Annotated[str, AfterValidator(_profile_of)] = ""
@@ -411,7 +411,7 @@ class DepthTable(OneCamera):
         return replace(super().conversion(), ranging=ranging)
 
 
-class FocusTable(Section):
+class FocusTable(FileTable):
     """Edge blur in px of each camera when it was in focus; `teatbench camera focus` measures it."""
 
     left: Positive | None = None
@@ -419,7 +419,7 @@ class FocusTable(Section):
     thermal: Positive | None = None
 
 
-class Checks(Section):
+class Checks(FileTable):
     """What a frame set must pass before it is measured with. Levels are 0 to 255."""
 
     frozen: bool = True
@@ -433,7 +433,7 @@ class Checks(Section):
     focus_times: Annotated[float, Field(gt=1, le=20)] = 2.5
 
 
-class Cameras(Section):
+class CamerasTable(FileTable):
     url: Annotated[str, AfterValidator(_all_url)] = ""
     left: OneCamera | None = None
     right: OneCamera | None = None
@@ -446,7 +446,7 @@ class Cameras(Section):
     checks: Checks = Checks()
 
     @model_validator(mode="after")
-    def _one_way(self) -> Cameras:
+    def _one_way(self) -> CamerasTable:
         tables = [*self.tables]
         if plugin_url(self.url):  # one device may give some of them
             return self
@@ -478,12 +478,12 @@ class Cameras(Section):
         return self.url or ", ".join(f"{name} {table.url}" for name, table in self.tables.items())
 
 
-class Operator(Section):
+class OperatorTable(FileTable):
     url: Annotated[str, AfterValidator(operator_url)]
     remind_s: Positive = 120.0
 
 
-class SafetyLimits(Section):
+class SafetyLimits(FileTable):
     set_point_c: tuple[float, float] = (20.0, 36.0)
     bath_max_c: Annotated[float, Field(le=40.0)] = 37.0
     bath_plausible_c: tuple[float, float] = (-5.0, 60.0)
@@ -517,7 +517,7 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 _Count = Annotated[int, Field(ge=8, le=4096)]
 
 
-class EmulatedOptical(Section):
+class EmulatedOptical(FileTable):
     full_well_e: Annotated[float, Field(ge=100, le=1e6)] | None = None
     read_noise_e: Annotated[float, Field(ge=0, le=1e4)] | None = None
     dark_e_per_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
@@ -536,7 +536,7 @@ class EmulatedOptical(Section):
         return replace(OpticalSensor(), focus=focus, **said)
 
 
-class EmulatedThermal(Section):
+class EmulatedThermal(FileTable):
     sensor_size: tuple[_Count, _Count] | None = None
     netd_k: _Kelvin | None = None
     row_flicker_k: _Kelvin | None = None
@@ -566,7 +566,7 @@ class EmulatedThermal(Section):
         return sensor if size is None else replace(sensor, width_px=size[0], height_px=size[1])
 
 
-class EmulatedDepth(Section):
+class EmulatedDepth(FileTable):
     """``[emulation.depth]``: a depth camera; it is there where the calibration has its lens."""
 
     modulation_mhz: Annotated[float, Field(gt=0, le=1000)] | None = None
@@ -600,7 +600,7 @@ _Setting = Annotated[float, Field(ge=0, le=1e6)]
 _Play = Annotated[float, Field(ge=0, le=5)]
 
 
-class EmulatedStage(Section):
+class EmulatedStage(FileTable):
     """``settings`` by Grbl's number; ``high_mm``: high ends of a Marlin's or FluidNC's axes."""
 
     dialect: Literal["grbl", "grblHAL", "FluidNC"] = "grbl"
@@ -612,12 +612,12 @@ class EmulatedStage(Section):
     backlash_mm: tuple[_Play, _Play, _Play] = (0.0, 0.0, 0.0)
     backlash_deg: _Play = 0.0
 
-    def firmware(self, stage: Stage) -> str:
+    def firmware(self, stage: StageTable) -> str:
         if stage.dialect != "grbl":
             return stage.dialect.capitalize()
         return "Grbl" if self.dialect == "grbl" else self.dialect
 
-    def fault(self, stage: Stage) -> str | None:
+    def fault(self, stage: StageTable) -> str | None:
         """What is wrong with it for ``stage``, as a sentence; None if nothing."""
         firmware = self.firmware(stage)
         if "A" in stage.axes and firmware == "Grbl":
@@ -645,14 +645,14 @@ def usual_stage() -> dict[int, float]:
     return DEFAULTS | ROTARY_DEFAULTS
 
 
-class Placement(Section):
+class Placement(FileTable):
     """Where something stands: X_world = R(om) X + T, a rotation vector in rad and mm."""
 
     om: tuple[Radians, Radians, Radians] = (0.0, 0.0, 0.0)
     T: Point = (0.0, 0.0, 0.0)
 
 
-class EmulatedFault(Section):
+class EmulatedFault(FileTable):
     """A fault from ``at_s`` after the start, for ``for_s``; for good where that is left out."""
 
     instrument: Literal["arm", "bath", "pump", "stage", "cameras"]
@@ -698,7 +698,7 @@ def emulated_faults(instrument: str) -> tuple[tuple[str, ...], Amounts]:
     return of_bath if instrument == "bath" else RELAY_FAULTS, AMOUNTS
 
 
-class Emulation(Section):
+class Emulation(FileTable):
     """What the emulated world is like; a real rig has no use for it."""
 
     ambient_c: Annotated[float, Field(ge=-10, le=40)] = 20.0
@@ -719,22 +719,22 @@ class Emulation(Section):
     faults: tuple[EmulatedFault, ...] = ()
 
 
-class Notify(Section):
+class Notify(FileTable):
     """Where word is sent to, by apprise; ``$NAME`` in an address is taken from the environment."""
 
     urls: tuple[Annotated[str, Field(min_length=1, max_length=500)], ...] = ()
 
 
-class Rig(Section):
+class Rig(FileTable):
     name: str
     seed: Annotated[int, Field(ge=0)] = 1
     # the file may still have to be made
     calibration: Annotated[str, Field(min_length=1), AfterValidator(a_name)]
-    operator: Operator
-    arm: Arm
-    bath: Bath
-    stage: Stage | None = None
-    cameras: Cameras
+    operator: OperatorTable
+    arm: ArmTable
+    bath: BathTable
+    stage: StageTable | None = None
+    cameras: CamerasTable
     limits: SafetyLimits = SafetyLimits()
     notify: Notify = Notify()
     emulation: Emulation = Emulation()
@@ -743,7 +743,7 @@ class Rig(Section):
     def urls(self) -> dict[str, str]:
         tables = {name: getattr(self, name, None) for name in ("arm", "bath", "stage", "operator")}
         urls = {name: table.url for name, table in tables.items() if table}
-        cameras: Cameras | None = getattr(self, "cameras", None)
+        cameras: CamerasTable | None = getattr(self, "cameras", None)
         return urls | ({"cameras": cameras.note} if cameras else {})
 
     @property

@@ -24,8 +24,7 @@ from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.leaving import Leaving, OpenInstruments, to_stderr
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
-from bench.rig.model import Stage as StageTable
+from bench.rig.model import Emulation, OneCamera, OperatorTable, Rig, StageTable, ThermalTable
 from bench.rig.practice import Practice, following
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import BROWSER, CONSOLE, ELSEWHERE, EMULATED, PEOPLE, SCRIPT
@@ -185,7 +184,12 @@ def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
 
 def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
     """A rig without a file: ``tables`` by name, and the bath's ``profile``."""
-    more = {"stage": None, "operator": Operator(url=CONSOLE), "emulation": Emulation(), "seed": 1}
+    more = {
+        "stage": None,
+        "operator": OperatorTable(url=CONSOLE),
+        "emulation": Emulation(),
+        "seed": 1,
+    }
     rig = Rig.model_construct(**(more | tables))
     return LoadedRig(Path(), "", rig, cast(Profile, profile), Path(), None)
 

@@ -17,7 +17,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
-from bench.config import ConfigError, FileFault, Section, did_you_mean, read_config, read_text
+from bench.config import ConfigError, FileFault, FileTable, did_you_mean, read_config, read_text
 from instruments.operators.operator import Kind
 from instruments.operators.prompted import KINDS, ScriptedAnswer, ScriptedAnswers, check_answer
 
@@ -31,7 +31,7 @@ FORM = (
 )
 
 
-class AnswerTable(Section):
+class AnswerTable(FileTable):
     to: Kind
     answer: str
     says: str = ""
@@ -43,7 +43,7 @@ class AnswerTable(Section):
         return self
 
 
-class AnswerFile(Section):
+class AnswerFile(FileTable):
     answers: tuple[AnswerTable, ...] = ()
     otherwise: dict[Kind, str] = Field(default_factory=dict)
 

@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from bench.record.state import State
 from bench.record.writer import Store
 from bench.results.headline import AFTER_RUN
-from bench.results.status import GOING_TO_SAFE, InstrumentStatus, Link, OpenPrompt, RunStatus, Safe
+from bench.results.status import (
+    GOING_TO_SAFE,
+    InstrumentStatus,
+    LinkState,
+    OpenPrompt,
+    RunStatus,
+    Safe,
+)
 from bench.rig.by_hand import BY_HAND
 from bench.rig.devices import Devices, Evidence
 from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat
@@ -264,17 +271,17 @@ class RunContext:
         # an arm that moves by itself is made safe, and by hand too, as what it is
         acts = "robot" if name == "arm" and devices.arm.touches else name
         answered_s, found = devices.answered_s.get(name), devices.safed.get(acts)
-        link, how, last, by_hand = Link.ANSWERS, "", self.last.get(name, ""), ""
+        link, how, last, by_hand = LinkState.ANSWERS, "", self.last.get(name, ""), ""
         if name == self.away:
-            link, how = Link.AWAY, self.away_how
-        if name == "cameras" and self._camera_gone and link is Link.ANSWERS:
-            link, how = Link.SILENT, self._camera_gone
+            link, how = LinkState.AWAY, self.away_how
+        if name == "cameras" and self._camera_gone and link is LinkState.ANSWERS:
+            link, how = LinkState.SILENT, self._camera_gone
         if name == "bath":
             if reading := self.watch.last:
                 last, answered_s = f"{reading.temp_c:.2f} degC", reading.t_s
             if failing := self._bath_fails:
-                link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
-            elif link is Link.ANSWERS and last and name in devices.active:
+                link, how = (LinkState.AWAY if name == self.away else LinkState.SILENT), failing
+            elif link is LinkState.ANSWERS and last and name in devices.active:
                 last += f", {self.watch.course}"
         # a stop that was sent is asked for again on the way to safe: no person has to act before
         final = found and (self.made_safe or found.evidence is not Evidence.SENT)

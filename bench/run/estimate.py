@@ -23,7 +23,7 @@ from bench.files import write_synced
 from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
 from bench.run.events import RunState, read_events
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import BathState, StabilityGate
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import fixed_key
@@ -162,7 +162,7 @@ def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
     plant.pump = "on"
     plant.run(bath.set_point_c)
     t_s = 0.0
-    while gate.add(t_s, plant.pv_c, raw=t_s) is not State.STABLE and t_s < bath.timeout_s:
+    while gate.add(t_s, plant.pv_c, raw=t_s) is not BathState.STABLE and t_s < bath.timeout_s:
         t_s += 1.0
         plant.advance_to(t_s)
     return t_s

@@ -139,7 +139,7 @@ def run_queue(
     refuse_no_room(rig, sum(len(script.planned) for script in scripts), out, how.record)
     with (
         locked(lock_path(rig), str(out.resolve()), events.warn),
-        closing(OpenRig(rig, how, events)) as held,
+        closing(RigSession(rig, how, events)) as held,
     ):
         warned = health.warnings(out, rig.rig.name)
         note = QueueNote.begin(out, rig.rig.name, [one.name for one in scripts])
@@ -224,7 +224,7 @@ def resume_run(
         recorder = recorder_again(left.run, rig.calibration_path, events.warn)
         again = in_virtual_time(rig, realtime=how.realtime) and not asked.get("warm")
         store = open_store(left, rehearsed=again)
-        with closing(OpenRig(rig, how, events)) as held:
+        with closing(RigSession(rig, how, events)) as held:
             return _run(script, store, under_test, held, recorder, left)
 
 
@@ -258,7 +258,9 @@ def kind_facts(rig: Rig) -> dict[str, Any]:
     return {"kind": "emulated" if rig.all_emulated else real}
 
 
-def _begun(held: OpenRig, script: LoadedScript, out: Path, under_test: Sequence[Detector]) -> Store:
+def _begun(
+    held: RigSession, script: LoadedScript, out: Path, under_test: Sequence[Detector]
+) -> Store:
     """A new run folder that says what the run is."""
     rig, how = held.rig, held.how
     files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files}
@@ -303,7 +305,7 @@ def _run(
     script: LoadedScript,
     store: Store,
     under_test: Sequence[Detector],
-    held: OpenRig,
+    held: RigSession,
     recorder: Recorder | None,
     left: ResumePoint | None = None,
     warned: Sequence[str] = (),
@@ -361,7 +363,7 @@ def _close(store: Store) -> None:
             raise
 
 
-class OpenRig:
+class RigSession:
     """The instruments of one run after the other: opened with the first, made safe and closed where
     one has not finished or none follows. ``more``: another script follows.
     """

@@ -21,7 +21,7 @@ from bench.results.cameras_agree import where_seen
 from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import CAPTURE_S, FrameTaker
-from bench.rig.model import Stage as StageSettings
+from bench.rig.model import StageTable
 from bench.rig.move_check import MoveCheck
 from bench.rig.reconnecting import diagnosis
 from bench.run.cameras_so_far import CamerasSoFar
@@ -30,7 +30,7 @@ from bench.run.events import RunState
 from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
-from bench.safety.stability import State
+from bench.safety.stability import BathState
 from bench.script.model import Rules
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, CarryState, fixed_key, resumed
@@ -41,7 +41,7 @@ from bench.truth.registration import (
     registration_from_facts,
     write_registration,
 )
-from bench.truth.stage_registration import Registering, around, ends_of, register, stands_at
+from bench.truth.stage_registration import PartialRegistration, around, ends_of, register, stands_at
 from bench.truth.touching import (
     ASTRAY_MM,
     AstrayError,
@@ -96,7 +96,7 @@ def choose_truth(
         return TouchedTruth(toucher, lambda: None if stage is None else stands_at(stage))
     if stage is None or settings is None:
         raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
-    known, so_far = registration_from_facts(before.facts) if before else None, Registering()
+    known, so_far = registration_from_facts(before.facts) if before else None, PartialRegistration()
 
     def report(kind: str, text: str) -> None:
         ctx.event(kind, text)
@@ -119,9 +119,9 @@ def choose_truth(
 def _registration(
     ctx: RunContext,
     stage: Stage,
-    settings: StageSettings,
+    settings: StageTable,
     toucher: Toucher,
-    so_far: Registering,
+    so_far: PartialRegistration,
 ) -> Registration:
     """The script's registration, from its file or made now, as a fact of the run. Raises LimitError
     where the file's doesn't hold, DeviceError where the touches give none.
@@ -141,9 +141,9 @@ def _registration(
 def _made(
     ctx: RunContext,
     stage: Stage,
-    settings: StageSettings,
+    settings: StageTable,
     toucher: Toucher,
-    so_far: Registering,
+    so_far: PartialRegistration,
 ) -> Registration:
     planned, table = ctx.script.planned, ctx.script.script.truth
     phantom, teat = planned[0].phantom, table.registration_teat
@@ -300,7 +300,11 @@ class TrialRun:
         self._homed_again &= kept_before > 0
         try:
             if self._homed_again:
-                self._count_only_if_homed_alike(trial.id)
+                if why_not := self.check_homing():  # not shown to be that of before
+                    so_far.clear()
+                    said = f"{trial.id}: those kept so far are dropped: {why_not}"
+                    self.ctx.event("touches", said)
+                self._homed_again = False
             self._run(trial)
         except BaseException as why:
             lost, how = diagnosis(why) if isinstance(why, InstrumentError) else ("", "")
@@ -313,13 +317,6 @@ class TrialRun:
                 self.ctx.event("touches", f"{trial.id}: {count} so far are kept")
             raise
         so_far.clear()
-
-    def _count_only_if_homed_alike(self, trial_id: str) -> None:
-        """Drop the touches so far where the arm's homing is not shown to be that of before."""
-        if why_not := self.check_homing():
-            self._so_far.clear()
-            self.ctx.event("touches", f"{trial_id}: those kept so far are dropped: {why_not}")
-        self._homed_again = False
 
     def _run(self, trial: PlannedTrial) -> None:
         ctx, there = self.ctx, shown(trial, self._axes)
@@ -426,7 +423,7 @@ class TrialRun:
             raise NoTruthError("truth", why, hint="Is the rig's calibration of this table's frame?")
 
     def _stable(self) -> bool:
-        return self.ctx.watch.state == State.STABLE
+        return self.ctx.watch.state == BathState.STABLE
 
     def _look_at_teats(
         self, trial: PlannedTrial, frames: FrameSet, ends: Sequence[TrueEnd], bath_c: float

@@ -24,7 +24,7 @@ from bench.rig.loading import LoadedRig
 from bench.safety.interlocks import GUARDIAN, Interlocks, InterlockTrip, rule_named
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.liveness import Liveness
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import BathState, StabilityGate
 from instruments.bath.reading import BathReading
 from instruments.bath.sequence import heater_off, pump_on, pump_text
 from instruments.clock import Clock, wall_time
@@ -70,7 +70,7 @@ class BathMonitor:
         self.last: BathReading | None = None
 
     @property
-    def state(self) -> State:
+    def state(self) -> BathState:
         """Of the stability gate, after the last reading."""
         return self.gate.state
 
@@ -78,7 +78,7 @@ class BathMonitor:
     def course(self) -> str:
         """The state in a word: ``cooling`` where it has to come down to the set point."""
         warmer = self.last is not None and self.last.temp_c > self.gate.set_point_c
-        return "cooling" if warmer and self.state is State.HEATING else self.state.value
+        return "cooling" if warmer and self.state is BathState.HEATING else self.state.value
 
     @property
     def why_not_stable(self) -> str:
@@ -92,7 +92,7 @@ class BathMonitor:
 
     def stable_in_s(self, expected_s: float) -> float:
         """How long until the gate opens, expected ``expected_s`` after heating began."""
-        if self.state is State.STABLE:
+        if self.state is BathState.STABLE:
             return 0.0
         heated_s = 0.0 if self._heating_s is None else self.clock.now() - self._heating_s
         with self._gate_lock:
@@ -370,9 +370,9 @@ def seconds_to_stable(gate: StabilityGate, seen: Sequence[BathReading]) -> float
     """At the least: the way at the rate of the last minute, ``seen``, and a window, or what is left
     of it. None where the bath doesn't approach its set point, or too little was read.
     """
-    if not seen or gate.state is State.STABLE:
+    if not seen or gate.state is BathState.STABLE:
         return 0.0 if seen else None
-    if gate.state is State.SETTLING:
+    if gate.state is BathState.SETTLING:
         return max(0.0, gate.window_s - gate.near.span_s) or 1.0
     first, last = seen[0], seen[-1]
     away_k, way_k = gate.set_point_c - last.temp_c, last.temp_c - first.temp_c

@@ -75,7 +75,7 @@ class Window:
 FIGURES_FROM = 0.1  # of the window: figures of less are noise
 
 
-class State(StrEnum):
+class BathState(StrEnum):
     """`heating`: further from the set point than `leave_k`; `settling`: near it; `stable`."""
 
     HEATING = "heating"
@@ -102,7 +102,7 @@ class StabilityGate:
     max_gap_s: float = 5.0
     min_distinct: int = 2
     frozen_s: float = 300.0
-    _state: State = field(default=State.HEATING, init=False, repr=False)
+    _state: BathState = field(default=BathState.HEATING, init=False, repr=False)
     _last: tuple[float, float] | None = field(default=None, init=False, repr=False)
     _raw: Hashable = field(default=None, init=False, repr=False)
     _raw_since_s: float = field(default=0.0, init=False, repr=False)
@@ -122,7 +122,7 @@ class StabilityGate:
             if not isfinite(set_point_c):
                 raise ValueError(f"stability gate: set point {set_point_c} degC must be finite")
             self.set_point_c = set_point_c
-        self._state = State.HEATING
+        self._state = BathState.HEATING
         self._last, self._raw, self._raw_since_s = None, None, 0.0
         self._alarm = False
         self.window, self.near, self._teats = Window(), Window(), Window()
@@ -142,7 +142,7 @@ class StabilityGate:
         raw: Hashable = None,
         alarm: bool = False,
         teat_c: float | None = None,
-    ) -> State:
+    ) -> BathState:
         """One reading at ``t_s`` (increasing), with its raw value, any alarm, and the temperature
         at the teats, if measured. Raises ValueError where time doesn't advance or a number is not
         finite.
@@ -160,18 +160,18 @@ class StabilityGate:
         self._last, self._alarm = (t_s, temp_c), alarm
         if gap or alarm or self.frozen:
             self.window, self.near, self._teats = Window(), Window(), Window()
-            self._state = State.SETTLING
+            self._state = BathState.SETTLING
         if not alarm and not self.frozen:
             self.window.add(t_s, temp_c - self.set_point_c, value, self.window_s)
         self._add_teats(t_s, teat_c, evidence=not alarm and not self.frozen)
         if abs(temp_c - self.set_point_c) > self.leave_k:
-            self._state, self.near = State.HEATING, Window()
-        elif self._state is not State.STABLE:
+            self._state, self.near = BathState.HEATING, Window()
+        elif self._state is not BathState.STABLE:
             w = self.window
             full = w.span_s >= self.window_s - TIME_SLACK_S
             stable = full and not any(failed for failed, *_ in self._criteria(w))
-            self._state = State.STABLE if stable else State.SETTLING
-        if self._state is not State.HEATING and not alarm and not self.frozen:
+            self._state = BathState.STABLE if stable else BathState.SETTLING
+        if self._state is not BathState.HEATING and not alarm and not self.frozen:
             self.near.add(t_s, temp_c - self.set_point_c, value, self.window_s)
         return self._state
 
@@ -187,8 +187,8 @@ class StabilityGate:
         self._teats_gone = t_s - last_s > self.max_gap_s + TIME_SLACK_S
         if self._teats_gone or abs(away_k) > self.teat_level_k + self.leave_k:
             self._teats = Window()
-            if self._state is State.STABLE:
-                self._state, self.near = State.SETTLING, Window()
+            if self._state is BathState.STABLE:
+                self._state, self.near = BathState.SETTLING, Window()
 
     @property
     def moved_s(self) -> float:
@@ -196,7 +196,7 @@ class StabilityGate:
         return -inf if self._last is None else self._raw_since_s
 
     @property
-    def state(self) -> State:
+    def state(self) -> BathState:
         """The state after the last reading; `heating` before the first."""
         return self._state
 
@@ -209,7 +209,7 @@ class StabilityGate:
     def at_least_s(self) -> float:
         """How long it takes at the least until it opens; 0 where it is open."""
         left_s = max(self.max_gap_s, self.window_s - self.near.span_s)
-        return 0.0 if self._state is State.STABLE else left_s
+        return 0.0 if self._state is BathState.STABLE else left_s
 
     def _criteria(self, w: Window) -> Iterator[tuple[bool, str, float]]:
         """Of each criterion but the span: whether ``w`` fails it, what was seen, and the limit."""
@@ -247,7 +247,7 @@ class StabilityGate:
             return ["too few readings"]
         if self._teats_gone:
             return ["the sensor at the teats gives no value any more: look at it and its plug"]
-        if self._state is State.HEATING:
+        if self._state is BathState.HEATING:
             return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
         if self._teats_last and abs(self._teats_last[1]) > self.teat_level_k:
             teats = f"the teats are {self._teats_last[1]:+.2f} K from the set point"

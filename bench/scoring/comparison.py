@@ -282,7 +282,7 @@ class ScenePair:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ComparisonRow:
     """What differs in one situation, or in all (None): errors in mm of teats that both found,
     `success` in poses. `_holm`: adjusted over the situations.
     """
@@ -314,8 +314,8 @@ class Gate:
 class PairedComparison:
     """The whole comparison: pooled, by situation, and the gate."""
 
-    pooled: Row
-    situations: tuple[Row, ...]
+    pooled: ComparisonRow
+    situations: tuple[ComparisonRow, ...]
     gate: Gate
     confidence: float
     identical: bool = False
@@ -384,10 +384,10 @@ def compare(
 
 def gate(
     pairs: Sequence[ScenePair],
-    pooled: Row,
+    pooled: ComparisonRow,
     margin_mm: float,
     unpaired: int = 0,
-    situations: Sequence[Row] = (),
+    situations: Sequence[ComparisonRow] = (),
     margin_rate: float | None = None,
     again: int = 0,
 ) -> Gate:
@@ -446,7 +446,7 @@ def _changed(change: PairedDifference) -> str:
 
 
 def _not_run(
-    pairs: Sequence[ScenePair], pooled: Row, chance: float, again: int
+    pairs: Sequence[ScenePair], pooled: ComparisonRow, chance: float, again: int
 ) -> tuple[float | None, float, float]:
     """What poses that were not run may hide: how much the mean distance grew at most, with which
     confidence, and which share of poses is lost anew at most.
@@ -460,7 +460,7 @@ def _not_run(
     return high, tail, 1.0 - least_rate(pooled.poses, pooled.poses, chance)
 
 
-def _lost(pairs: Sequence[ScenePair], pooled: Row) -> tuple[list[str], list[str]]:
+def _lost(pairs: Sequence[ScenePair], pooled: ComparisonRow) -> tuple[list[str], list[str]]:
     """Every scene lost is worse, and every false or missed teat more; nothing is left open."""
     worse = [
         f"{pair.scene} passed and now fails: {why_failed(pair.new)}"
@@ -475,7 +475,7 @@ def _lost(pairs: Sequence[ScenePair], pooled: Row) -> tuple[list[str], list[str]
 
 
 def _fewer_right(
-    pooled: Row, situations: Sequence[Row], margin: float, chance: float | None
+    pooled: ComparisonRow, situations: Sequence[ComparisonRow], margin: float, chance: float | None
 ) -> tuple[list[str], list[str]]:
     """Where the share of right poses fell by more than the margin: shown, and perhaps by chance."""
     shown, perhaps = [], []
@@ -526,7 +526,7 @@ def poses_again(values: Floats, limit: float, margin: float, chance: float) -> i
     return fewest(shows, 0) if shows(MOST_POSES) else None
 
 
-def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], list[str]]:
+def _grown_in(situations: Sequence[ComparisonRow], margin_mm: float) -> tuple[list[str], list[str]]:
     """Situations whose mean distance grew by more than the margin: shown, and perhaps by chance."""
     shown, perhaps = [], []
     for row in situations:
@@ -595,7 +595,9 @@ def _limit_mm(pairs: Iterable[ScenePair]) -> float:
     return min(pair.old.limit_mm for pair in pairs)
 
 
-def _row(situation: str | None, pairs: Sequence[ScenePair], confidence: float, seed: int) -> Row:
+def _row(
+    situation: str | None, pairs: Sequence[ScenePair], confidence: float, seed: int
+) -> ComparisonRow:
     old, new, poses = common_errors(pairs)
 
     def differ(a: Floats, b: Floats) -> PairedDifference:
@@ -609,7 +611,7 @@ def _row(situation: str | None, pairs: Sequence[ScenePair], confidence: float, s
         {pair.pose for pair in pairs if not pair.old.success},
         {pair.pose for pair in pairs if not pair.new.success},
     )
-    return Row(
+    return ComparisonRow(
         situation=situation,
         scenes=len(pairs),
         poses=len(names),

@@ -31,7 +31,7 @@ class ControlLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
+class ChartTrend:
     """Change a week with its confidence interval, over so many days and values."""
 
     a_week: float
@@ -71,7 +71,7 @@ def _rule(off: NDArray[np.float64]) -> str:
     return ""
 
 
-def trend(days: Sequence[float], values: ArrayLike) -> Trend | None:
+def trend(days: Sequence[float], values: ArrayLike) -> ChartTrend | None:
     """The straight line through the last month's values; None where there are too few, or where
     chance makes such a line too.
     """
@@ -88,4 +88,4 @@ def trend(days: Sequence[float], values: ArrayLike) -> Trend | None:
     half = float(stdtrit(n - 2, 0.5 + CONFIDENCE / 2.0)) * sd
     if abs(slope) <= half or slope == 0.0:
         return None
-    return Trend(7.0 * slope, 7.0 * (slope - half), 7.0 * (slope + half), spanned, n)
+    return ChartTrend(7.0 * slope, 7.0 * (slope - half), 7.0 * (slope + half), spanned, n)

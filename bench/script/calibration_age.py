@@ -29,7 +29,8 @@ def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) ->
         return
     fact = calibration_fact(rig.calibration, today, emulated=False)
     allowed = f"{script.path} allows {most:g} days ([calibration] max_age_days)"
-    if why := _doubt(fact, most, allowed) or _unknown(fact, allowed):
+    unknown = f"has no [record] that says when it was made; {allowed}. {AGAIN}."
+    if why := unknown if fact["age_days"] is None else _doubt(fact, most, allowed):
         raise ConfigError.plain(f"{rig.calibration_path} {why}")
 
 
@@ -51,12 +52,6 @@ def _doubt(fact: Mapping[str, Any], most: float, allowed: str) -> str:
     if age is not None and age < -1:  # a day's grace: it may be tomorrow already where it was made
         return f"was made on {made}, which is still to come: is this machine's clock right?"
     return ""
-
-
-def _unknown(fact: Mapping[str, Any], allowed: str) -> str:
-    if fact["age_days"] is not None:
-        return ""
-    return f"has no [record] that says when it was made; {allowed}. {AGAIN}."
 
 
 def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> None:

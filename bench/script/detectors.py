@@ -21,7 +21,7 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
-from bench.config import ConfigError, Positive, Section, did_you_mean, read_config, several
+from bench.config import ConfigError, FileTable, Positive, did_you_mean, read_config, several
 from detector import registry
 from detector.calibration import Calibration
 from detector.external import ExternalDetector, ProcessLimits
@@ -35,7 +35,7 @@ _DEFAULT = ProcessLimits()
 NEVER_GIVES_UP = {"restarts": sys.maxsize, "in_a_row": sys.maxsize}
 
 
-class DetectorFile(Section):
+class DetectorFile(FileTable):
     """A program that is a detector. The command is run in the file's folder."""
 
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")] = ""

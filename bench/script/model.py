@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bench.config import ConfigError, Positive, Section, located, parse_config, read_text
+from bench.config import ConfigError, FileTable, Positive, located, parse_config, read_text
 from bench.rig.loading import LoadedRig, find_shipped
 from bench.rig.urls import is_there
 from bench.scoring.looks import Looks
@@ -35,7 +35,7 @@ HEADING = "Made by {}, which lies beside this file."
 Shift = Annotated[float, Field(ge=-2000, le=2000)]
 
 
-class TruthTable(Section):
+class TruthTable(FileTable):
     """``touch``: every end in every trial. ``carry``: once, then by the stage, checked by touch
     after ``every`` trials (0: at the end and before a rearrangement) within ``check_limit_mm``.
     ``registration``: a file beside the script, or "first": made at the start by touches of teat
@@ -107,7 +107,7 @@ def no_wider(value: float, info: ValidationInfo) -> float:
     return value
 
 
-class BathGate(Section):
+class BathGate(FileTable):
     """Set point and stability gate; defaults are the bath sheet's, section 4.2."""
 
     set_point_c: float
@@ -136,7 +136,7 @@ class BathGate(Section):
         return mean_k
 
 
-class _Named(Section):
+class _Named(FileTable):
     name: str
     source: str = ""
 
@@ -221,7 +221,7 @@ class CamerasRequirement(_Named):
     thermal_limit_px: Positive = 1.0
 
 
-class CalibrationTable(Section):
+class CalibrationTable(FileTable):
     """``[calibration]``: a run with an older one, or one of unknown age, is refused."""
 
     max_age_days: Positive | None = None
@@ -248,7 +248,7 @@ def _names_differ(rows: tuple[Any, ...]) -> tuple[Any, ...]:
     return rows
 
 
-class Rules(Section):
+class Rules(FileTable):
     """What detections are held against, fixed before anything is run. ``looks``: how many verdicts
     on growing numbers of poses are planned; the first takes its share of the chance of a false one.
     """

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from bench.config import ConfigError, Section, did_you_mean, read_config
+from bench.config import ConfigError, FileTable, did_you_mean, read_config
 from bench.rig.urls import is_there
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.solids import clearance_mm
@@ -39,7 +39,7 @@ def ordered(span: Span) -> Span:
     return span
 
 
-class TeatTable(Section):
+class TeatTable(FileTable):
     """Where a teat's axis leaves the plate, its length, and its lean towards +x and +y."""
 
     name: Name
@@ -62,7 +62,7 @@ class TeatTable(Section):
         )
 
 
-class Envelope(Section):
+class Envelope(FileTable):
     """Within what an udder is drawn: figures evenly between two ends, each teat for itself."""
 
     middle_mm: tuple[Place, Place]
@@ -110,7 +110,7 @@ class Envelope(Section):
             yield Teat(base, shape, (float(lean_x), float(lean_y)), name)
 
 
-class PhantomFile(Section):
+class PhantomFile(FileTable):
     """``teats``, or an ``envelope`` that they are drawn from."""
 
     about: str

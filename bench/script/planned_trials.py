@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from bench.config import Section, did_you_mean
+from bench.config import FileTable, did_you_mean
 from bench.script.phantom import Layout, find_layout, load_layout, ordered
 from instruments.operators.operator import Arrangement
 from instruments.world.objects import SceneObject, make_object
@@ -50,7 +50,7 @@ def layout_of(name: str, info: ValidationInfo) -> str:
 LayoutName = Annotated[str, AfterValidator(layout_of)]
 
 
-class PoseTable(Section):
+class PoseTable(FileTable):
     """The plate from its reference place: shifted, and turned about the turntable's axis."""
 
     x_mm: Shift = 0.0
@@ -63,7 +63,7 @@ class PoseTable(Section):
         return PlatePose(self.x_mm, self.y_mm, self.z_mm, float(np.radians(self.yaw_deg)))
 
 
-class Grid(Section):
+class Grid(FileTable):
     """Every x with every y, numbered by rows along x from the least y up. Visited by rows ``along``
     x or y; ``serpentine`` goes every other row backwards.
     """
@@ -118,7 +118,7 @@ class Grid(Section):
         return list(rows.ravel().tolist())
 
 
-class Draw(Section):
+class DrawnPoses(FileTable):
     """``count`` poses drawn evenly within these spans, by the seed and the trial's name."""
 
     count: Annotated[int, Field(ge=1, le=MOST_POSES)]
@@ -135,7 +135,7 @@ class Draw(Section):
         return [PlatePose(x, y, z, float(np.radians(yaw))) for x, y, z, yaw in drawn.tolist()]
 
 
-class PublishedRate(Section):
+class PublishedRate(FileTable):
     """What the thesis's own detector found in this situation, to print beside ours."""
 
     found: Annotated[int, Field(ge=0)]
@@ -143,7 +143,7 @@ class PublishedRate(Section):
     source: str = ""
 
 
-class Trial(Section):
+class Trial(FileTable):
     """A phantom, its poses, and what else is in the scene. ``repeats``: frame sets at a pose;
     ``cycles``: times through all poses; ``approach``: sides to reach a pose from; ``redraw``:
     another udder, or member of the ``family``, for each pose.
@@ -158,7 +158,7 @@ class Trial(Section):
     pose: PoseTable | None = None
     poses: Annotated[tuple[PoseTable, ...], Field(min_length=1)] | None = None
     grid: Grid | None = None
-    draw: Draw | None = None
+    draw: DrawnPoses | None = None
     approach: tuple[Side, ...] = ()
     approach_mm: Annotated[float, Field(gt=0, le=200)] = 10.0
     redraw: bool = False

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.rig.arm_files import LocationTest, axes_of, swing_text
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.scoring.errors import Floats
 from bench.truth.touching import SPARE, TipReader
 from instruments.clock import Clock
@@ -27,7 +27,7 @@ CHECK_FACT = "arm check {}"  # before, after
 def check_arm(
     ask: Callable[[Request], object],
     tip: TipReader,
-    arm: Arm,
+    arm: ArmTable,
     clock: Clock,
     check: Callable[[], None],
     before: Mapping[str, Any] | None = None,

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
-from bench.config import Positive, Section, located, read_config, read_text, write_file
+from bench.config import FileTable, Positive, located, read_config, read_text, write_file
 from bench.rig.arm_files import NotNegative, Three, refuse_changed
 from bench.scoring.errors import Floats
 from bench.toml import toml_text
@@ -49,7 +49,7 @@ NAMES = ("scale x", "scale y", "squareness xy", "scale z", "squareness xz", "squ
 _FLAT_MM = 1.0  # a height that varies by less has not been exercised
 
 
-class StageAccuracy(Section):
+class StageAccuracy(FileTable):
     """The stage's stated standard uncertainties."""
 
     scale_u: NotNegative
@@ -340,14 +340,14 @@ teat that was touched. Make it anew when stage, table frame or arm were moved. S
 squareness (0 is ideal) are diagnostics: the rigid motion carries."""
 
 
-class _Station(Section):
+class _Station(FileTable):
     stage_mm: Three
     touched_mm: Three
     u_mm: Positive
     residual_mm: NotNegative
 
 
-class _RegistrationFile(Section):
+class _RegistrationFile(FileTable):
     made: AwareDatetime
     serial_number: str
     stage: str

@@ -10,7 +10,7 @@ from math import hypot
 
 import numpy as np
 
-from bench.rig.model import Stage as StageSettings
+from bench.rig.model import StageTable
 from bench.truth.registration import Registration, StageAccuracy, Station
 from bench.truth.touching import Ends, EndTouches, Toucher, end_u_mm
 from bench.truth.uncertainty import Triple, triple
@@ -45,7 +45,7 @@ def around(poses: Iterable[PlatePose], least_mm: float = 150.0) -> tuple[PlatePo
 
 
 @dataclass(slots=True)
-class Registering:
+class PartialRegistration:
     """What a registration has so far: its stations, and the touches of the next one."""
 
     stations: list[Station] = field(default_factory=list)
@@ -54,9 +54,9 @@ class Registering:
 
 def register(
     stage: Stage,
-    settings: StageSettings,
+    settings: StageTable,
     toucher: Toucher,
-    so_far: Registering,
+    so_far: PartialRegistration,
     phantom: Phantom,
     poses: Sequence[PlatePose],
     *,

@@ -26,7 +26,7 @@ import numpy as np
 from bench.record.recording import TruthRow
 from bench.record.schema import Row
 from bench.rig.arm_files import TableFrame
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.scoring.errors import Floats
 from bench.scoring.matching import LEAST_SPACING_MM
 from bench.truth.uncertainty import (
@@ -102,7 +102,7 @@ class TipReader:
     """
 
     arm: ReadableArm
-    settings: Arm
+    settings: ArmTable
     frame: TableFrame | None
 
     def refuse_other_arm(self) -> None:
@@ -155,7 +155,7 @@ class Toucher:
 
     ask: Callable[[Request], object]
     tip: TipReader
-    arm: Arm
+    arm: ArmTable
     clock: Clock
     check: Callable[[], None]
     readings: int | None = None
@@ -265,7 +265,7 @@ class Toucher:
         return touched(points, self.arm, registration_mm=u_mm), [row for _, row in taken]
 
 
-def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TrueEnd:
+def touched(tips_mm: Floats, arm: ArmTable, *, registration_mm: float | None = None) -> TrueEnd:
     """The mean of readings (n, 3), tip radius taken off, with its budget; ``registration_mm`` is
     the table frame's part. Raises ValueError without a reading.
     """
@@ -294,23 +294,23 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
     return TrueEnd.at(tips.mean(axis=0), TruthUncertainty(budget))
 
 
-def reading_u_mm(arm: Arm) -> float:
+def reading_u_mm(arm: ArmTable) -> float:
     """Of one reading against another along an axis: hand and rounding, not accuracy."""
     return hypot(arm.definition_mm, arm.rounding_mm)
 
 
-def same_place_mm(arm: Arm, readings: int = 1) -> float:
+def same_place_mm(arm: ArmTable, readings: int = 1) -> float:
     """How far one reading may lie from the mean of ``readings`` before it of the same place."""
     return FAR * reading_u_mm(arm) * sqrt(1.0 + 1.0 / readings)
 
 
-def end_u_mm(arm: Arm, readings: int) -> float:
+def end_u_mm(arm: ArmTable, readings: int) -> float:
     """Along an axis, of one end's mean against that of another place, before anything was read."""
     scatter = reading_u_mm(arm) / sqrt(readings)
     return hypot(arm.u_mm, arm.definition_mm, tip_radius_u_mm(arm), arm.rounding_mm, scatter)
 
 
-def tip_radius_u_mm(arm: Arm) -> float:
+def tip_radius_u_mm(arm: ArmTable) -> float:
     """Of a ball tip: its radius, turned by the teat axis's uncertainty, and the radius itself."""
     turned_mm = arm.tip_radius_mm * arm.axis_u_rad
     return hypot(turned_mm, arm.tip_radius_u_mm) if arm.tip_radius_mm else 0.0

@@ -64,7 +64,7 @@ class TruthUncertainty:
 
 
 CHI2_95 = 7.814727903251179  # 95 % of chi-square with 3 degrees of freedom
-# names of components: the arm, the table frame, a ball tip, the stage
+# names of components
 ARM, REGISTRATION, TIP_RADIUS, CARRY = "arm", "registration", "tip radius", "carry"
 
 Triple = tuple[float, float, float]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.campaign.chunk import Rows
+from bench.campaign.chunk import ChunkRows
 from bench.campaign.plan import CampaignPlan, Chunk
 from bench.campaign.pool import LocalPool
 from bench.campaign.run import Campaign
@@ -25,7 +25,7 @@ class Counted:
     def __init__(self, inner: LocalPool) -> None:
         self._inner, self.cpu_s, self.busy_s = inner, 0.0, 0.0
 
-    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, ChunkRows]]:
         for chunk, rows in self._inner.results(chunks):
             self.cpu_s += rows.cpu_s
             self.busy_s += rows.seconds

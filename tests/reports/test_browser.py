@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from reports.render import write_report
-from reports.runs import Result, Run, Runs, write_runs
+from reports.runs import DetectorResult, Run, Runs, write_runs
 from tests.chromium import Seen, violations, weak_texts, window
 from tests.examples import few
 from tests.reports.sample import sample_page
@@ -203,8 +203,8 @@ def test_axe_would_have_seen_a_fault(browser: Browser, folders: dict[str, Path])
 
 NAME = '<img src=x onerror="document.title=1">'
 FOUND = (
-    Result(NAME, "1", "met", 4, 4, 0, 0.5, 1.0),
-    Result("a", "", "aborted", 0, 0, 0, None, None),
+    DetectorResult(NAME, "1", "met", 4, 4, 0, 0.5, 1.0),
+    DetectorResult("a", "", "aborted", 0, 0, 0, None, None),
 )
 RUN = Run(
     folder=Path("20261122-101500-demo"),

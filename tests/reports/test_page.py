@@ -290,7 +290,9 @@ def test_shapes_have_finite_coordinates_and_layers_one_name() -> None:
 def test_a_row_of_runs_has_the_word_of_one_that_was_not_judged(
     verdict: Verdict, visible: int, step: str
 ) -> None:
-    assert runs.Result("a", "1", verdict, visible, 6 * bool(visible), 0, 0.5, 1.0).step == step
+    assert (
+        runs.DetectorResult("a", "1", verdict, visible, 6 * bool(visible), 0, 0.5, 1.0).step == step
+    )
 
 
 def test_a_message_s_temperatures_are_written_as_a_page_does_and_a_file_s_own_are_not() -> None:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from io import StringIO
 
 from bench.calibrate.arm import ArmSession
-from bench.calibrate.simulated_arm import PLACED, SimulatedArm, Step
+from bench.calibrate.simulated_arm import PLACED, SimulatedArm, TouchStep
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.link import Link
@@ -25,13 +25,13 @@ class Follower(ArmSession):
         self,
         arm: MicroScribe,
         hand: SimulatedArm,
-        instead: Callable[[Step], Step] = lambda step: step,
+        instead: Callable[[TouchStep], TouchStep] = lambda step: step,
     ) -> None:
         console = Console(StringIO(), StringIO(), hand.clock)
         super().__init__(arm, hand.clock, console, hand)
         self.hand, self.instead = hand, instead
         self.said: list[str] = []
-        self.steps: list[Step] = []
+        self.steps: list[TouchStep] = []
 
     def ask(self, text: str) -> None:
         self.said.append(text)
@@ -39,7 +39,7 @@ class Follower(ArmSession):
     def say(self, text: str) -> None:
         self.said.append(text)
 
-    def touch(self, step: Step) -> None:
+    def touch(self, step: TouchStep) -> None:
         self.steps.append(step)
         self.hand.go(self.instead(step))
 

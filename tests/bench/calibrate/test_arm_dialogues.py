@@ -20,13 +20,13 @@ from bench.calibrate.arm import (
     touch_frame,
     verify,
 )
-from bench.calibrate.simulated_arm import PLACED, Step
+from bench.calibrate.simulated_arm import PLACED, TouchStep
 from bench.results.stated_arm import check_verification, stated_fact
 from bench.rig.arm_files import (
-    FrameError,
     LengthTest,
     LocationTest,
     TableFrame,
+    TableFrameError,
     TouchedPoint,
     Triple,
     Verification,
@@ -34,7 +34,7 @@ from bench.rig.arm_files import (
     least_sphere_mm,
     world_from_arm,
 )
-from bench.rig.model import ROUNDING_MM, Arm
+from bench.rig.model import ROUNDING_MM, ArmTable
 from bench.scoring.stated_u import refuted
 from detector.geometry import Motion
 from tests.bench.calibrate.arm_rig import MADE, Follower, emulated
@@ -82,15 +82,15 @@ def test_exact_touches_give_the_motion_back(om: Triple, T: Triple) -> None:
 def test_what_gives_no_frame_is_refused_with_a_sentence(
     touched: list[list[float]], sentence: str
 ) -> None:
-    with pytest.raises(FrameError, match=sentence.replace("(", r"\(")):
+    with pytest.raises(TableFrameError, match=sentence.replace("(", r"\(")):
         world_from_arm(touched)
 
 
 def test_fewer_than_three_touches_and_names_given_twice_are_refused() -> None:
     origin = TouchedPoint("origin", (0.0, 0.0, 0.0))
-    with pytest.raises(FrameError, match="three touches"):
+    with pytest.raises(TableFrameError, match="three touches"):
         TableFrame.from_touches(MADE, "1", [origin])
-    with pytest.raises(FrameError, match="same name"):
+    with pytest.raises(TableFrameError, match="same name"):
         TableFrame.from_touches(
             MADE, "1", [origin, dataclasses.replace(origin, name="x axis"), origin]
         )
@@ -131,7 +131,7 @@ def test_points_too_near_are_asked_for_again() -> None:
     with emulated() as (arm, simulated):
         slips = iter([True])
 
-        def instead(step: Step) -> Step:
+        def instead(step: TouchStep) -> TouchStep:
             return (
                 dataclasses.replace(step, what="origin")
                 if step.what == "x axis" and next(slips, False)
@@ -163,7 +163,7 @@ def test_a_moving_arm_is_read_again() -> None:
 def test_a_frame_that_turned_over_is_asked_about() -> None:
     with emulated() as (arm, simulated):
 
-        def instead(step: Step) -> Step:
+        def instead(step: TouchStep) -> TouchStep:
             return (
                 dataclasses.replace(step, what="check", world_mm=(100.0, -110.0, 0.0))
                 if step.what == "plane"
@@ -311,7 +311,7 @@ def test_a_sound_arm_on_a_ball_bar_is_accused_no_more_often_than_is_claimed() ->
     """`arm verify --spheres`: seven directions of a bar, each end by five touches."""
     rng, runs, accused = np.random.default_rng(5), 600, {"own": 0, "one touch": 0}
     u_mm, ball = float(np.hypot(0.23, ROUNDING_MM)), 12.7 * np.array([place for _, place in ROUND])
-    stated = stated_fact(Arm.model_construct(url="", accuracy_mm=0.23))
+    stated = stated_fact(ArmTable.model_construct(url="", accuracy_mm=0.23))
     ways = rng.normal(size=(7, 3))
     ways *= 300.0 / np.linalg.norm(ways, axis=1)[:, None]
     ways[:2] = [[0.0, 0.0, 300.0]] * 2  # upright, where a sphere's centre is least certain

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bench.calibrate import world
 from bench.calibrate.views import write_picture
 from bench.calibrate.world import TouchSession, gather_points, nine, read_points, under_ball
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.truth.touching import TipReader
 from detector.calibration.boards import Board
 from detector.geometry import Array, Motion
@@ -82,7 +82,7 @@ class Lab:
         )
 
     def points(self, folder: Path, board: Board = BOARD) -> Array:
-        tip = TipReader(self, Arm(url="emulator:"), None)
+        tip = TipReader(self, ArmTable(url="emulator:"), None)
         asking = TouchSession(self.look, self, tip, RADIUS_MM, self.text.append, self.found)
         return gather_points(asking, board, folder).touched_mm
 

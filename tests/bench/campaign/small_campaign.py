@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.campaign.chunk import Bench, Rows, Scene, run_scene
+from bench.campaign.chunk import Bench, ChunkRows, SceneId, run_scene
 from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.rig.loading import RIGS, LoadedRig
 from bench.rig.scenes import rig_renderer
@@ -41,9 +41,9 @@ def small_plan(folder: Path, **more: Any) -> CampaignPlan:
     return CampaignPlan.model_validate({**asked, **more})
 
 
-def run_chunk(bench: Bench, scenes: Iterable[Scene]) -> Rows:
+def run_chunk(bench: Bench, scenes: Iterable[SceneId]) -> ChunkRows:
     """The rows of these scenes."""
-    return sum((run_scene(bench, scene) for scene in scenes), Rows())
+    return sum((run_scene(bench, scene) for scene in scenes), ChunkRows())
 
 
 def small_bench(rig: LoadedRig, *detectors: Detector) -> Bench:
@@ -81,7 +81,7 @@ class Here:
         self._job, self._order = job, order
         self._bench = job.bench(job.renderer(), job.make_detectors())
 
-    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, ChunkRows]]:
         for chunk in self._order(list(chunks)):
             yield chunk, run_chunk(self._bench, chunk.scenes)
 

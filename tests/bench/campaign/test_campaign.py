@@ -21,7 +21,7 @@ from textwrap import dedent
 
 import pytest
 
-from bench.campaign.chunk import ASIDE, Rows
+from bench.campaign.chunk import ASIDE, ChunkRows
 from bench.campaign.plan import CampaignPlan, Chunk, plan_text
 from bench.campaign.pool import LocalPool
 from bench.campaign.run import Campaign
@@ -63,7 +63,7 @@ class Killing:
         self._inner, self._after = inner, after
         self._chance, self._hit = random.Random(8), set[int]()
 
-    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, ChunkRows]]:
         planned = list(chunks)
         shuffled = self._chance.sample(planned, len(planned))
         for number, found in enumerate(self._inner.results(iter(shuffled))):

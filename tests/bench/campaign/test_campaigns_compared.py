@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from bench.campaign.chunk import ASIDE, CallTime, Rows, SceneRow, TeatRow
+from bench.campaign.chunk import ASIDE, CallTime, ChunkRows, SceneRow, TeatRow
 from bench.campaign.comparison import compare_campaigns
 from bench.campaign.ledger import Ledger
 from bench.campaign.perturbations import Applied
@@ -53,7 +53,7 @@ def written(
                 TeatRow(*key, 2, "missed" if fails else "found", *[None if fails else 0.0] * 3)
             )
         Shards(folder).write(
-            family, chunk, Rows(tuple(rows), tuple(teats), (CallTime(0.1, 0.1),) * len(rows))
+            family, chunk, ChunkRows(tuple(rows), tuple(teats), (CallTime(0.1, 0.1),) * len(rows))
         )
     return folder
 

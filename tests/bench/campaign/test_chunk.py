@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.campaign.chunk import Bench, Scene, run_scene
+from bench.campaign.chunk import Bench, SceneId, run_scene
 from bench.rig.loading import LoadedRig
 from bench.script.detectors import make_detectors
 from instruments.world.situations import member, situation
@@ -21,7 +21,7 @@ def bench(small_rig: LoadedRig) -> Bench:
 
 @pytest.mark.slow
 def test_rows_depend_on_the_scene_alone(bench: Bench) -> None:
-    scenes = [Scene("ideal", 3), Scene("overlapping", 1)]
+    scenes = [SceneId("ideal", 3), SceneId("overlapping", 1)]
     both, second = run_chunk(bench, scenes), run_chunk(bench, scenes[1:])
     assert [(row.family, row.member, row.detector) for row in both.scenes] == [
         (scene.family, scene.member, name) for scene in scenes for name in ("fused", "thesis")
@@ -39,7 +39,7 @@ def test_rows_depend_on_the_scene_alone(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_answers_are_counted_against_the_truth(small_rig: LoadedRig) -> None:
-    scene = Scene("ideal", 0)
+    scene = SceneId("ideal", 0)
     ends = situation("ideal", 0).phantom.ends_mm
     half_mm = ends[:3] + np.array([0.5, 0.0, 0.0])
     right = Knowing([*half_mm, ends[0] + [0.0, 300.0, 0.0]])

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.campaign import ledger
-from bench.campaign.chunk import CallTime, Rows, SceneRow, TeatRow
+from bench.campaign.chunk import CallTime, ChunkRows, SceneRow, TeatRow
 from bench.campaign.ledger import LEDGER
 from bench.campaign.plan import Chunk
 from bench.campaign.run import Campaign, locked, plan_of
@@ -39,12 +39,12 @@ def no_run_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
 class Made:
     """An executor whose rows are the same each time."""
 
-    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, ChunkRows]]:
         for chunk in chunks:
             keys = [(chunk.family, member, "d") for member in chunk.members]
             yield (
                 chunk,
-                Rows(
+                ChunkRows(
                     tuple(
                         SceneRow(*key, 4, 0, 4, 0, 0, 0, 0.1 * key[1], 0.1, "", "") for key in keys
                     ),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.campaign.chunk import ASIDE, CallTime, Rows, SceneRow
+from bench.campaign.chunk import ASIDE, CallTime, ChunkRows, SceneRow
 from bench.campaign.numbers import Numbers, campaign_numbers
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.shards import Shards
@@ -51,7 +51,7 @@ def numbers(plan: CampaignPlan, tmp_path_factory: pytest.TempPathFactory) -> Num
     (folder / "shards").mkdir()
     for family, each in (("ideal", rows), ("overlapping", (gone,))):
         taken = tuple(CallTime(0.1, 0.1, "it ended" if one is gone else None) for one in each)
-        Shards(folder).write(family, 0, Rows(each, (), taken))
+        Shards(folder).write(family, 0, ChunkRows(each, (), taken))
     return campaign_numbers(folder, plan)
 
 

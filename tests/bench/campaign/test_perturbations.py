@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.campaign.chunk import Bench, Scene
+from bench.campaign.chunk import Bench, SceneId
 from bench.campaign.perturbations import KINDS, Applied
 from bench.campaign.plan import open_plan
 from bench.rig.loading import RIGS, find_rig, load_rig
@@ -153,7 +153,7 @@ def test_a_plan_s_perturbations_are_in_its_rows_and_its_identity(tmp_path: Path)
     assert job.exact  # it draws by the calibration that detectors get
     elsewhere = (RIGS / "thesis-calibration.toml").as_posix()
     assert not open_plan(small_plan(tmp_path, calibration=elsewhere))[0].exact
-    scene, rows = Scene("ideal", 0), []
+    scene, rows = SceneId("ideal", 0), []
     for one in (job, other_job, other_job):
         bench: Bench = one.bench(one.renderer(), one.make_detectors())
         rows.append(run_chunk(bench, [scene]).scenes)

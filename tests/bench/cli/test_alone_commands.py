@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.cli.alone import _next_look, focus_line, step
+from bench.cli.alone import focus_line, next_look, step
 from bench.record.recording import Recording
 from bench.rig.loading import find_rig, load_rig
 from instruments.camera.frame import FrameError, FrameFault
@@ -178,11 +178,11 @@ def test_a_live_look_does_not_end_for_frames_that_did_not_come(
         return pictures
 
     alone: Any = SimpleNamespace(look=look)
-    assert _next_look(alone, clock, math.inf, 0.2) is pictures
+    assert next_look(alone, clock, math.inf, 0.2) is pictures
     assert capsys.readouterr().err.count("status CLEARED") == 30
     outcomes += [fault] * 30
     with pytest.raises(FrameError, match="status CLEARED"):
-        _next_look(alone, clock, clock.now() + 2.0, 0.2)
+        next_look(alone, clock, clock.now() + 2.0, 0.2)
 
 
 @pytest.mark.slow

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.calibrate.simulated_arm import PLACED, SimulatedArm, Step
+from bench.calibrate.simulated_arm import PLACED, SimulatedArm, TouchStep
 from bench.rig.arm_files import load_frame, load_verification
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
 from tests.bench.calibrate.arm_terminal import answer, at_terminal
@@ -149,7 +149,7 @@ def test_a_frame_whose_check_point_is_off_is_not_written(
     tmp_path: Path, monkeypatch: Patch, said: Said, limit: str
 ) -> None:
     out, go = tmp_path / "frame.toml", SimulatedArm.go
-    above = Step("check", 0, "", (120.0, 90.0, 6.0))
+    above = TouchStep("check", 0, "", (120.0, 90.0, 6.0))
     monkeypatch.setattr(
         SimulatedArm, "go", lambda arm, step: go(arm, above if step.what == "check" else step)
     )
@@ -166,7 +166,7 @@ def test_watch_shows_tip_pedals_and_rate_live_until_ctrl_c(monkeypatch: Patch) -
         acts = {
             "left up, right up": lambda: setattr(simulated.emulator, "buttons", 1),
             "left up, right DOWN": lambda: setattr(simulated.emulator, "buttons", 2),
-            "left DOWN, right up": lambda: simulated.go(Step("origin", 0, "")),
+            "left DOWN, right up": lambda: simulated.go(TouchStep("origin", 0, "")),
         }
         there = PLACED.inverse().apply([0.0, 0.0, 0.0])
         tips: list[tuple[float, ...]] = []
@@ -233,7 +233,7 @@ def test_the_pieces_of_files_in_the_labs_page_are_right() -> None:
     blocks = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", guide, re.DOTALL)]
     (script,) = (block for block in blocks if "requirements" in block)
     rigs = [block["arm"] for block in blocks if "arm" in block]
-    assert [Arm.model_validate(rig).accuracy_mm for rig in rigs] == [0.03]
+    assert [ArmTable.model_validate(rig).accuracy_mm for rig in rigs] == [0.03]
     (rule,) = script["requirements"]
     note = ArmRequirement.model_validate(rule)
     left_out = set(re.findall(r"^# (\w+_limit_mm) = ", guide, re.MULTILINE))

@@ -16,7 +16,7 @@ import pytest
 from rich.console import Console
 
 import bench
-from bench.cli.bath import HEIGHT, WIDTH, BathPlot, output_strip, plot, show_views
+from bench.cli.bath_plot import HEIGHT, WIDTH, BathPlot, output_strip, plot, show_views
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import SHIPPED, LineProfile, load_profile

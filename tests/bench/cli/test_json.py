@@ -16,7 +16,7 @@ import pytest
 from bench.cli.commands import COMMANDS as COMMAND_LINE
 from bench.record.state import State
 from bench.results.queue import QueueEntry, QueueStatus
-from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
+from bench.results.status import InstrumentStatus, LinkState, RunStatus, Safe
 from bench.rig.loading import shipped
 from bench.script.model import TRIALS
 from bench.testing.conformance import Finding
@@ -25,7 +25,7 @@ from tests.bench.small_run import KEPT
 from tests.conftest import ROOT
 
 PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
-BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE)
+BATH = InstrumentStatus("bath", LinkState.ANSWERS, Safe.IN_USE)
 STATUS = RunStatus("run", "Short", State.RUNNING, "running", instruments=(BATH,))
 
 
@@ -74,7 +74,7 @@ def test_each_word_of_a_status_is_explained() -> None:
         for word in words
     }
     assert {state.value for state in State} <= said
-    assert {word.value for word in (*Link, *Safe)} <= said
+    assert {word.value for word in (*LinkState, *Safe)} <= said
 
 
 COMMANDS = {

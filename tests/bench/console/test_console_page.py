@@ -21,7 +21,7 @@ from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.state import State, run_lock
 from bench.results.queue import QueueNote
-from bench.results.status import GOING_TO_SAFE, Link, OpenPrompt
+from bench.results.status import GOING_TO_SAFE, LinkState, OpenPrompt
 from bench.rig.lock import locked
 from instruments.clock import wall_time
 from instruments.operators.mailbox import read_prompt
@@ -240,7 +240,7 @@ ENDED = {
 } | {
     State.INTERRUPTED: "The bench died before the run was over; 2 of 18 trials are kept.",
 }
-SILENT = replace(LIVES.instruments[0], link=Link.SILENT, age_s=600.0)
+SILENT = replace(LIVES.instruments[0], link=LinkState.SILENT, age_s=600.0)
 UNDER_WAY: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
     ({"step": "settling", "doing": "240 s"}, ("Settling", "240 s", "stable at 33.0 °C ± 0.20 K")),
     (

@@ -19,7 +19,7 @@ from starlette.routing import Mount, Route
 
 from bench.config import ConfigError
 from bench.console import guard
-from bench.console.app import Console, make_app
+from bench.console.app import WebConsole, make_app
 from bench.console.guard import PAIR_S, Pairing
 from bench.console.watching import curve, listed, snapshot
 from bench.record.reader import read_run
@@ -40,15 +40,15 @@ NAMES = ("..", "%2e%2e", "run/../run", "/etc", "C:\\", "", "<script>", "\x00", "
 
 
 @pytest.fixture(scope="module")
-def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebConsole]:
     here = tmp_path_factory.mktemp("here")
     folder = Path(shutil.copytree(KEPT, here / "runs" / "kept"))
     Mailbox(folder).open(op.Prompt("touch", "Touch it."))
     with locked(run_lock(folder), "a run", print, "run"):
-        yield Console(here / "runs", here, f"http://{HOST}", Pairing(TOKEN))
+        yield WebConsole(here / "runs", here, f"http://{HOST}", Pairing(TOKEN))
 
 
-def call(console: Console, method: str, path: str, headers: dict[str, str], body: bytes) -> Any:
+def call(console: WebConsole, method: str, path: str, headers: dict[str, str], body: bytes) -> Any:
     """Status, headers and body of one request to the program itself."""
     sent: list[dict[str, Any]] = []
 
@@ -77,7 +77,7 @@ def call(console: Console, method: str, path: str, headers: dict[str, str], body
     return sent[0]["status"], dict(sent[0]["headers"]), text
 
 
-def routes(console: Console) -> list[tuple[str, str]]:
+def routes(console: WebConsole) -> list[tuple[str, str]]:
     """Method and path with names in place."""
     (run,) = (one.name for one in console.runs.iterdir())
     found = []
@@ -92,7 +92,7 @@ def routes(console: Console) -> list[tuple[str, str]]:
     return found
 
 
-def digest(console: Console) -> str:
+def digest(console: WebConsole) -> str:
     """Of all that is on the disk."""
     files = sorted(path for path in console.runs.rglob("*") if path.is_file())
     return sha256(b"".join(f"{path}".encode() + path.read_bytes() for path in files)).hexdigest()
@@ -116,7 +116,7 @@ FAULTS: tuple[tuple[dict[str, str | None], int], ...] = (
 
 @pytest.mark.slow
 @given(data=st.data())
-def test_a_request_with_a_fault_does_nothing(console: Console, data: st.DataObject) -> None:
+def test_a_request_with_a_fault_does_nothing(console: WebConsole, data: st.DataObject) -> None:
     method, path = data.draw(st.sampled_from(routes(console)))
     fault, code = data.draw(st.sampled_from(FAULTS))
     if code in (413, 415) and method == "GET":
@@ -136,7 +136,7 @@ def test_a_request_with_a_fault_does_nothing(console: Console, data: st.DataObje
 @pytest.mark.slow
 @given(name=st.sampled_from(NAMES) | st.text(max_size=20), data=st.data())
 def test_a_path_for_a_name_reaches_nothing(
-    console: Console, name: str, data: st.DataObject
+    console: WebConsole, name: str, data: st.DataObject
 ) -> None:
     (run,) = (one.name for one in console.runs.iterdir())
     method, path = data.draw(st.sampled_from([one for one in routes(console) if run in one[1]]))
@@ -156,7 +156,7 @@ def test_a_path_for_a_name_reaches_nothing(
 
 
 @pytest.mark.slow
-def test_a_report_is_served_by_its_ticket_alone_and_can_reach_nothing(console: Console) -> None:
+def test_a_report_is_served_by_its_ticket_alone_and_can_reach_nothing(console: WebConsole) -> None:
     (folder,) = console.runs.iterdir()
     (folder / "report").mkdir(exist_ok=True)
     (folder / "report" / "index.html").write_text("<p>all good", encoding="utf-8")
@@ -174,7 +174,7 @@ def test_a_report_is_served_by_its_ticket_alone_and_can_reach_nothing(console: C
     assert call(console, "GET", outside, {"host": HOST}, b"")[0] == 404
 
 
-def test_one_operator_at_a_time_and_whoever_has_the_token_may_abort(console: Console) -> None:
+def test_one_operator_at_a_time_and_whoever_has_the_token_may_abort(console: WebConsole) -> None:
     (run,) = (one.name for one in console.runs.iterdir())
 
     def post(path: str, client: str, **body: str) -> tuple[int, Any]:
@@ -195,7 +195,7 @@ def test_one_operator_at_a_time_and_whoever_has_the_token_may_abort(console: Con
 
 
 def test_a_phone_is_paired_once_and_in_time(
-    console: Console, monkeypatch: pytest.MonkeyPatch
+    console: WebConsole, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def post(path: str, bearer: str) -> tuple[int, Any]:
         headers = {**GOOD, "content-length": "2", "authorization": f"Bearer {bearer}"}
@@ -217,7 +217,7 @@ def test_a_phone_is_paired_once_and_in_time(
 
 
 @pytest.mark.parametrize("body", [b'{"name": "\\ud800"}', b'{"\\udfff": 1}', b'{"a": ["\\ud83d"]}'])
-def test_a_lone_surrogate_is_no_text(console: Console, body: bytes) -> None:
+def test_a_lone_surrogate_is_no_text(console: WebConsole, body: bytes) -> None:
     length = {"content-length": str(len(body)), "x-client": "one"}
     status, _, text = call(console, "POST", "/api/lease", GOOD | length, body)
     assert (status, b"surrogate" in text) == (422, True)
@@ -228,7 +228,7 @@ def test_what_a_killed_bench_left_open_is_neither_shown_nor_answered(tmp_path: P
     Mailbox(folder).open(op.Prompt("touch", "Touch it."))
     for name in (LIVE, "left.jpg"):
         (folder / "console" / name).write_text('{"state": "running"}', encoding="utf-8")
-    console = Console(tmp_path / "runs", tmp_path, f"http://{HOST}", Pairing(TOKEN))
+    console = WebConsole(tmp_path / "runs", tmp_path, f"http://{HOST}", Pairing(TOKEN))
     at = "/api/runs/killed"
     status, _, text = call(console, "GET", at, {**GOOD, "x-client": "one"}, b"")
     assert (status, json.loads(text)["live"], json.loads(text)["prompt"]) == (200, None, None)

@@ -38,8 +38,7 @@ from bench.rig.arm_files import (
 )
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, load_rig
-from bench.rig.model import ROUNDING_MM, EmulatedStage
-from bench.rig.model import Stage as StageTable
+from bench.rig.model import ROUNDING_MM, EmulatedStage, StageTable
 from bench.run.start import run_queue
 from bench.script.model import load_script
 from bench.truth.touching import TipReader, Toucher
@@ -54,7 +53,7 @@ from instruments.operators.emulated import EmulatedOperator
 from instruments.stage.emulator.carriage import Mounting
 from instruments.stage.settings import StageIdentity
 from instruments.world.world import World as EmulatedWorld
-from reports.render import Press, environment
+from reports.render import Renderer, environment
 from tests.bench import operated_runs
 from tests.bench.killed_runs import Silent
 from tests.conftest import ROOT
@@ -381,7 +380,7 @@ _ENVIRONMENT = cache(environment)  # its templates are compiled once
 
 @contextmanager
 def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
-    touch, trial = Toucher._touch_end, Press.trial
+    touch, trial = Toucher._touch_end, Renderer.trial
 
     @contextmanager
     def opened(rig: LoadedRig, *_: Any, **__: Any) -> Iterator[Devices]:
@@ -397,7 +396,7 @@ def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
             there = _Arm(), _Bath(clock, rig.profile), stage, _Cameras(), hands
             yield devices(clock, *there, world.ends_mm)
 
-    def first(press: Press, number: int, *given: Any) -> str:
+    def first(press: Renderer, number: int, *given: Any) -> str:
         """The trials' own pages are alike; most of the time would go into them."""
         return trial(press, number, *given) if number == 0 else ""
 
@@ -413,7 +412,7 @@ def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
         for of, name, what in (
             (Toucher, "_touch_end", touched),
             (TipReader, "read", lambda _: errors.reading(frame)),
-            (Press, "trial", first),
+            (Renderer, "trial", first),
         ):
             stack.enter_context(patch.object(of, name, what))
         for name, new in (

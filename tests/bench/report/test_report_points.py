@@ -35,7 +35,7 @@ from bench.results.verdicts import latency_of, scored
 from bench.rig.loading import find_rig, load_rig
 from bench.run.estimate import ASSUMED, estimate, figures, needs, read_durations, took
 from bench.run.start import score_recording
-from bench.safety.stability import State
+from bench.safety.stability import BathState
 from bench.script.model import load_script
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from tests.bench.calibrate.touched import there
@@ -138,7 +138,7 @@ def test_the_main_job_is_done_and_the_exit_code_is_the_verdict(done: Done) -> No
 
 
 def test_every_capture_is_in_a_stable_bath_and_the_truth_as_good_as_the_arm(done: Done) -> None:
-    assert {trial.head["bath_state"] for trial in done.run.trials} == {State.STABLE.value}
+    assert {trial.head["bath_state"] for trial in done.run.trials} == {BathState.STABLE.value}
     assert all(abs(trial.head["bath_c"] - 33.0) <= 0.15 for trial in done.run.trials)
     assert done.run.bath[0, 1] == pytest.approx(20.0, abs=0.1)
     steps = np.diff(done.run.bath[:, 0])

@@ -13,7 +13,7 @@ from scipy.stats import chi2, f
 from bench.results.stated_arm import STATED_FACT, contradictions, stated_fact, too_small
 from bench.results.verdicts import decide_arm
 from bench.rig.arm_files import LengthTest, LocationTest, Verification, as_dict
-from bench.rig.model import ROUNDING_MM, Arm
+from bench.rig.model import ROUNDING_MM, ArmTable
 from bench.scoring.decisions import Verdict
 from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.stated_u import StatedCheck, largest_limit_mm
@@ -138,7 +138,7 @@ def test_the_shipped_script_asks_for_it() -> None:
 
 
 def stated(u_mm: float = 0.23, df: float | None = None) -> dict[str, Any]:
-    return stated_fact(Arm.model_construct(url="", accuracy_mm=u_mm, accuracy_df=df))
+    return stated_fact(ArmTable.model_construct(url="", accuracy_mm=u_mm, accuracy_df=df))
 
 
 def drawn(chance: np.random.Generator, times: float, lengths: bool) -> dict[str, Any]:
@@ -197,7 +197,7 @@ def test_a_statement_of_few_degrees_of_freedom_is_held_less_firmly() -> None:
     assert vague.limit(0.05) == pytest.approx(12 * f.isf(0.05, 12, 5.0))
     low, high = exact.ratio_interval
     assert (low, high) == pytest.approx(np.sqrt(30.0 / chi2.ppf([0.975, 0.025], 12)))
-    assert Arm.model_construct(url="", accuracy_mm=0.2, accuracy_df=8.0).u_mm == pytest.approx(
+    assert ArmTable.model_construct(url="", accuracy_mm=0.2, accuracy_df=8.0).u_mm == pytest.approx(
         0.2 * np.sqrt(8 / 6)
     )
 

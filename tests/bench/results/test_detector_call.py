@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import builtins
+import ctypes
 import json
 import os
 import signal
@@ -284,16 +285,36 @@ def test_the_first_call_is_the_cold_one() -> None:
     assert cold == [True, True, False, False, False]
 
 
-def test_no_detector_can_change_the_pictures_under_the_others() -> None:
-    class Painter(Scripted):
+@pytest.mark.parametrize("part", ["left", "right", "thermal", "amplitude"])
+@pytest.mark.parametrize("by_flag", [False, True])
+def test_no_detector_can_change_what_is_stored_and_others_see(part: str, by_flag: bool) -> None:
+    """As torch.from_numpy does: it gives memory that can be written to, whatever NumPy's flag."""
+    grey, depth = np.zeros((3, 4, 6), np.uint8), np.ones((2, 4, 6), np.uint16)
+    frames = FrameSet(grey[0], grey[1], grey[2], depth_dmm=depth[0], amplitude=depth[1])
+
+    class Writer(Scripted):
         def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-            frames.left[:] = 255
+            picture = getattr(frames, part)
+            with pytest.raises(ValueError, match="read-only"):
+                picture[:] = 255
+            if by_flag:
+                picture.setflags(write=True)
+                picture[:] = 255
+            ctypes.memset(picture.ctypes.data, 255, picture.nbytes)
             return Detection()
 
-    answer = examine(Painter(answered()), FRAMES, CALIBRATION)
-    assert "read-only" in str(answer.detection.reason)
-    assert not FRAMES.left.any()
-    FRAMES.left[0, 0] = 0  # the bench itself may
+    assert examine(Writer(answered()), frames, CALIBRATION).outcome is Outcome.ANSWERED
+    assert [*grey.ravel(), *depth.ravel()] == [0] * grey.size + [1] * depth.size
+    frames.left[0, 0] = 1  # the bench itself may
+
+
+def test_an_answer_stays_as_it_is_where_its_detector_fills_its_buffers_again() -> None:
+    mask, point = np.ones((4, 4), dtype=bool), np.zeros(3)
+    said = Detection((Teat(point),), 0, None, (Stage("seen", {"mask": mask}),))
+    first = asked(lambda: said)
+    mask[:], point[:] = False, 9.0
+    assert first.detection.trace[0].data["mask"].all()
+    assert not first.detection.teats[0].world_mm.any()
 
 
 def test_a_detector_changes_nothing_of_the_benchs_process(

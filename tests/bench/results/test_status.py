@@ -28,7 +28,7 @@ from bench.results.status import (
     INSTRUMENTS_FACT,
     LIVE,
     InstrumentStatus,
-    Link,
+    LinkState,
     OpenPrompt,
     RunStatus,
     Safe,
@@ -151,7 +151,9 @@ def said_by(folder: Path, status: RunStatus, **more: object) -> None:
 
 
 HERE = " at its terminal for 1 min"
-BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.00 degC, stable", age_s=1.0)
+BATH = InstrumentStatus(
+    "bath", LinkState.ANSWERS, Safe.IN_USE, last="33.00 degC, stable", age_s=1.0
+)
 LIVES = RunStatus("a-run", "Short", State.RUNNING, "running", instruments=(BATH,), left_s=60.0)
 
 
@@ -201,7 +203,7 @@ def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) ->
         (replace(BATH, name="arm", last="", age_s=36.0), "arm: answered 36 s ago"),
         (replace(BATH, name="arm", last="", age_s=2459.0), "arm: answered 41 min ago"),
         (
-            replace(BATH, link=Link.SILENT, age_s=600.0),
+            replace(BATH, link=LinkState.SILENT, age_s=600.0),
             "bath: no answer for 10 min (last 33.00 degC, stable)",
         ),
         (replace(BATH, name="cameras", last="", age_s=None), "cameras: connected"),
@@ -249,7 +251,7 @@ def test_of_a_bench_that_has_died_its_guardian_says_how_the_bath_is(
         (run / of_session).write_text(json.dumps(guardian), encoding="utf-8")
     status = read_status(run)
     (bath,) = status.instruments
-    assert (bath.link, bath.safe) == (Link.UNKNOWN, safe)
+    assert (bath.link, bath.safe) == (LinkState.UNKNOWN, safe)
     assert bath.by_hand or "33.00" in bath.text
     if guardian and guardian["standby"]:
         assert then not in " ".join(status.next)

@@ -16,8 +16,7 @@ import pytest
 from bench.config import ConfigError
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig, load_rig
-from bench.rig.model import Cameras as CamerasTable
-from bench.rig.model import Checks, OneCamera
+from bench.rig.model import CamerasTable, Checks, OneCamera
 from bench.rig.opening import conversion_of
 from instruments.camera.cameras import CameraSet
 from instruments.camera.frame import Conversion, Radiometry, Ranging

@@ -14,8 +14,7 @@ import pytest
 from bench.record.recording import Recording, RecordingCameras, RecordingWriter
 from bench.rig.frame_capture import CALLED, CHECKED, FRAMES_FACT, HINTS, FrameChecks, FrameTaker
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.model import Cameras as CamerasTable
-from bench.rig.model import FocusTable
+from bench.rig.model import CamerasTable, FocusTable
 from instruments.camera.emulator import FAULTS, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
 from instruments.errors import DeviceError, LinkError

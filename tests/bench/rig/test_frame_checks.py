@@ -17,7 +17,7 @@ from bench.config import read_calibration
 from bench.record.recording import Recording
 from bench.rig.frame_capture import FrameChecks, StereoOrder
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.model import Cameras, Checks, FocusTable
+from bench.rig.model import CamerasTable, Checks, FocusTable
 from detector.calibration import Calibration
 from instruments.camera.emulator import FAULTS, KEPT_BACK, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
@@ -34,8 +34,8 @@ def calibration() -> Calibration:
     return load_rig(find_rig(None)).calibration
 
 
-def table(checks: Checks) -> Cameras:
-    return Cameras(url="emulator:", checks=checks)
+def table(checks: Checks) -> CamerasTable:
+    return CamerasTable(url="emulator:", checks=checks)
 
 
 def checks(**changed: Any) -> FrameChecks:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.config import ConfigError
-from bench.rig.model import Stage as StageTable
+from bench.rig.model import StageTable
 from bench.rig.practice import served_text
 from instruments.world.phantom import PlatePose
 from tests.bench.rig.test_emulated_stage import homed, rig_with

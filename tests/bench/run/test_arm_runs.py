@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from bench.calibrate.arm import VerificationPlan, touch_frame, verify
-from bench.calibrate.simulated_arm import SimulatedArm, Step
+from bench.calibrate.simulated_arm import SimulatedArm, TouchStep
 from bench.config import write_file
 from bench.record.reader import RunRecord, read_run
 from bench.results.stated_arm import unmoved_mm
 from bench.results.verdicts import judge, stored_rules
 from bench.rig.arm_files import VerificationLimits, frame_text, verification_text
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.scoring.decisions import Verdict
 from bench.truth.arm_check import check_arm, location_of, moved_mm, new_touches, shift_mm
 from bench.truth.touching import TipReader
@@ -191,13 +191,13 @@ class Checker:
 
     def ask(self, request: Request) -> None:
         if isinstance(request, CheckPoint):
-            self._trying.go(Step("middle", request.touch - 1, ""))
+            self._trying.go(TouchStep("middle", request.touch - 1, ""))
 
 
 def checked(
     spoil: Callable[[SimulatedArm], None], before: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    settings = Arm(url="emulator:", check_point_mm=(330.0, 0.0, 20.0))
+    settings = ArmTable(url="emulator:", check_point_mm=(330.0, 0.0, 20.0))
     near_mm = unmoved_mm([], settings)
     with emulated() as (arm, trying):
         spoil(trying)
@@ -213,7 +213,7 @@ def test_an_arm_that_was_not_homed_is_found_out() -> None:
     """Switched on with the stylus off its peg, and a person who says that it was on."""
 
     def off_its_peg(trying: SimulatedArm) -> None:
-        trying.go(Step("near", 0, ""))
+        trying.go(TouchStep("near", 0, ""))
         trying.emulator.power_cycle()
 
     good = checked(lambda trying: None)
@@ -222,7 +222,7 @@ def test_an_arm_that_was_not_homed_is_found_out() -> None:
     # one touch shows that nothing moved since an earlier check, whose touches count
     again = checked(lambda trying: None, good)
     assert (len(again["touches"]), new_touches(again)) == (len(good["touches"]) + 1, 1)
-    assert moved_mm(good, again) < unmoved_mm([], Arm(url="emulator:"))
+    assert moved_mm(good, again) < unmoved_mm([], ArmTable(url="emulator:"))
     spoilt = checked(off_its_peg, good)
     assert len(spoilt["touches"]) == new_touches(spoilt) == len(good["touches"])
     assert shift_mm(spoilt) > 20.0

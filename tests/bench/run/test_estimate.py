@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.model import Operator
+from bench.rig.model import OperatorTable
 from bench.run.estimate import (
     ASSUMED,
     FILE,
@@ -49,7 +49,9 @@ def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_needs_by_hand() -> None:
     rig, script = load_rig(find_rig(None)), load_script(find_script(None))
-    by_hand = replace(rig, rig=rig.rig.model_copy(update={"operator": Operator(url="console:")}))
+    by_hand = replace(
+        rig, rig=rig.rig.model_copy(update={"operator": OperatorTable(url="console:")})
+    )
     first, by_then = (needs(by_hand, script, measured).time for measured in (None, {"touch": 16.0}))
     usual = estimate(rig, script)
     assert (first.set_ups_s, first.touches_s) == (usual.set_ups_s, usual.touches_s)

@@ -20,7 +20,7 @@ import pytest
 
 from bench.record.reader import read_run
 from bench.record.state import State
-from bench.results.status import InstrumentStatus, Link, RunStatus, Safe, read_status
+from bench.results.status import InstrumentStatus, LinkState, RunStatus, Safe, read_status
 from bench.rig.reconnecting import GARBLED, GONE, POLICIES, REFUSES
 from bench.run import trial as run_trial
 from bench.run.events import (
@@ -174,7 +174,7 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
     screen = Person("", ())
     shown, progress = screen.states, Events(screen)
     progress.state("preparing")
-    bath = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.02 degC, stable")
+    bath = InstrumentStatus("bath", LinkState.ANSWERS, Safe.IN_USE, last="33.02 degC, stable")
 
     def status() -> RunStatus:
         words: dict[str, Any] = {

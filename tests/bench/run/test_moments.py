@@ -25,7 +25,7 @@ from bench.report.page import write_run_report
 from bench.report.runs import list_runs, write_queue_page
 from bench.results.exports import drop_report
 from bench.results.queue import queues
-from bench.results.status import Link, RunStatus, Safe, read_status
+from bench.results.status import LinkState, RunStatus, Safe, read_status
 from bench.rig.loading import load_rig
 from bench.rig.model import Rig
 from bench.run import start as run_start
@@ -67,7 +67,7 @@ class Moment(Watch):
     compared: list[RunStatus] = field(default_factory=list)
     times: list[tuple[float, RunStatus]] = field(default_factory=list)
     next_s: float = 0.0
-    links: tuple[Link, ...] = ()
+    links: tuple[LinkState, ...] = ()
     asked: bool = False
     is_open: bool = False  # the rig, as the first status says
 
@@ -141,7 +141,7 @@ def all_say(folder: Path, status: RunStatus) -> None:
     drop_report(folder)
 
 
-def links_of(status: RunStatus) -> tuple[Link, ...]:
+def links_of(status: RunStatus) -> tuple[LinkState, ...]:
     return tuple(one.link for one in status.instruments)
 
 

@@ -20,7 +20,7 @@ import bench
 from bench.cli.main import main
 from bench.record.reader import read_run
 from bench.record.state import State
-from bench.results.status import InstrumentStatus, Link, OpenPrompt, RunStatus, Safe
+from bench.results.status import InstrumentStatus, LinkState, OpenPrompt, RunStatus, Safe
 from bench.run.events import ENDED, NOT_SAFE, PROMPTED, TRIPPED, read_events
 from bench.run.notify import Notifier, notifying, text_of, without_secrets
 from tests.bench.campaign.small_campaign import write_small_rig
@@ -29,7 +29,11 @@ from tests.bench.small_run import SCRIPT
 NOWHERE = "json://user:secret@127.0.0.1:1"
 SOON_S = 60.0
 BATH = InstrumentStatus(
-    "bath", Link.SILENT, Safe.FAILED, how="no answer", by_hand="SWITCH OFF THE BATH AT ITS MAINS"
+    "bath",
+    LinkState.SILENT,
+    Safe.FAILED,
+    how="no answer",
+    by_hand="SWITCH OFF THE BATH AT ITS MAINS",
 )
 STATUS = RunStatus(
     "20261122-short",

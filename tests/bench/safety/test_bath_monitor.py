@@ -12,7 +12,7 @@ from bench.rig.model import SafetyLimits
 from bench.run.live import bath_state
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, InterlockTrip
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import BathState, StabilityGate
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import VirtualClock
@@ -52,7 +52,7 @@ def test_the_bath_is_read_every_second_and_recorded() -> None:
     w.clock.sleep(100.0)
     w.watch.check()
     assert len(w.rows) == 101
-    assert w.watch.state is State.STABLE
+    assert w.watch.state is BathState.STABLE
     w.watch.stop()
     w.clock.sleep(10.0)
     assert len(w.rows) == 101
@@ -65,7 +65,7 @@ def test_what_was_read_before_the_heating_is_no_evidence_of_stability() -> None:
     states = [w.watch.state]
     w.clock.sleep(100.0)
     states.append(w.watch.state)
-    assert [state is State.STABLE for state in states] == [False, True]
+    assert [state is BathState.STABLE for state in states] == [False, True]
 
 
 def test_it_goes_on_trying_until_the_bath_is_safe() -> None:

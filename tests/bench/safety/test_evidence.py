@@ -20,7 +20,7 @@ from bench.record.reader import read_run
 from bench.rig.by_hand import BY_HAND
 from bench.rig.devices import Evidence, Safing, attempt
 from bench.rig.leaving import NotSafeError
-from bench.rig.model import Bath as BathTable
+from bench.rig.model import BathTable
 from bench.rig.opening import open_instruments, rig_of
 from bench.run.context import RunContext
 from bench.safety.bath_monitor import held

@@ -17,7 +17,7 @@ if sys.platform == "win32":
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.model import Bath as BathTable
+from bench.rig.model import BathTable
 from bench.rig.opening import open_instruments, rig_of
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import SHIPPED, LineProfile, load_profile
@@ -212,12 +212,12 @@ def test_a_controller_with_a_watchdog_stops_when_bench_and_guardian_are_killed(
 
 HEATER = """
 import time
-from bench.rig.model import Bath
+from bench.rig.model import BathTable
 from bench.rig.opening import open_instruments, rig_of
 from instruments.bath.profile import load_profile
 
 table = {table!r}
-rig = rig_of(load_profile(table["profile"]), bath=Bath.model_construct(**table, pump_url="",
+rig = rig_of(load_profile(table["profile"]), bath=BathTable.model_construct(**table, pump_url="",
     pump_profile="", allow_inferred=False))
 with open_instruments(rig, ("bath",)) as devices:
     devices.bath.start(33.0)

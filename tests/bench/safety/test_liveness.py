@@ -12,7 +12,7 @@ import pytest
 from bench.rig.model import SafetyLimits
 from bench.safety.interlocks import LIFELESS_S, Interlocks
 from bench.safety.liveness import TURNS_WITHIN_S, Liveness
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import BathState, StabilityGate
 from instruments.bath.profile import RegisterProfile, load_profile, profile_names
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Row
@@ -76,7 +76,7 @@ def test_a_sound_bath_of_every_family_is_never_accused(family: str) -> None:
         gate.add(one.t_s, one.temp_c, raw=moving(one))
         assert not gate.frozen, one.t_s
         assert interlocks.add(one) is None
-    assert gate.state is State.STABLE
+    assert gate.state is BathState.STABLE
 
 
 @pytest.mark.slow
@@ -95,10 +95,10 @@ def test_a_sensor_that_stands_closes_the_gate_and_trips_within_minutes(
     closed_s = tripped_s = None
     for one in readings(family, frozen_s=frozen_s, until_s=int(frozen_s) + 900):
         state = gate.add(one.t_s, one.temp_c, raw=moving(one))
-        if closed_s is None and one.t_s > frozen_s and state is not State.STABLE:
+        if closed_s is None and one.t_s > frozen_s and state is not BathState.STABLE:
             closed_s = one.t_s
         if closed_s is not None and one.t_s > frozen_s + gate.frozen_s:
-            assert state is not State.STABLE
+            assert state is not BathState.STABLE
         trip = interlocks.add(one)
         if trip and tripped_s is None:
             tripped_s = one.t_s

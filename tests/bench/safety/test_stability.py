@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import BathState, StabilityGate
 from tests.examples import examples
 
 SP = 33.0
-HEATING, SETTLING, STABLE = State.HEATING, State.SETTLING, State.STABLE
+HEATING, SETTLING, STABLE = BathState.HEATING, BathState.SETTLING, BathState.STABLE
 
 
 def feed(
     gate: StabilityGate, temps: list[float], start_s: float = 0.0, step_s: float = 1.0
-) -> list[State]:
+) -> list[BathState]:
     return [gate.add(start_s + k * step_s, t) for k, t in enumerate(temps)]
 
 
@@ -168,7 +168,7 @@ class TestTeats:
         ("k_per_min", "state"), [(0.018, STABLE), (0.022, SETTLING), (-0.022, SETTLING)]
     )
     def test_teats_that_still_warm_up_keep_the_gate_shut(
-        self, k_per_min: float, state: State
+        self, k_per_min: float, state: BathState
     ) -> None:
         gate = StabilityGate(SP)
         for t, temp in enumerate(quiet(700)):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from bench.report.wording import limit, measured
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -329,7 +329,7 @@ def of_emulated_arms(rng: np.random.Generator, n: int, arms: int = 80) -> Floats
     )
 
 
-ARM = Arm(url="socket://127.0.0.1:1")
+ARM = ArmTable(url="socket://127.0.0.1:1")
 TRUTHS: dict[str, tuple[Drawn, float]] = {
     "afresh": (afresh, U),
     "alike": (alike, U),

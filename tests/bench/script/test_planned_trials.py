@@ -28,7 +28,7 @@ from bench.script.phantom import (
 )
 from bench.script.planned_trials import (
     POSE_KEYS,
-    Draw,
+    DrawnPoses,
     Grid,
     PlannedTrial,
     PoseTable,
@@ -338,7 +338,9 @@ PAGE = (ROOT / "docs" / "trials.md").read_text(encoding="utf-8")
 ELSEWHERE = {"title", "about", "source", "kind", "layout"}  # as in every script, or said in words
 
 
-@pytest.mark.parametrize("model", [Trial, PoseTable, Grid, Draw, PhantomFile, TeatTable, Envelope])
+@pytest.mark.parametrize(
+    "model", [Trial, PoseTable, Grid, DrawnPoses, PhantomFile, TeatTable, Envelope]
+)
 def test_every_key_is_there(model: type[BaseModel]) -> None:
     missing = [
         key

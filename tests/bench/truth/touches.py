@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bench.rig.model import Arm
+from bench.rig.model import ArmTable
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, StageAccuracy, Station
 from bench.truth.touching import Ends, TipReader, Toucher
@@ -45,8 +45,8 @@ ACCURACY = StageAccuracy(scale_u=5e-4, squareness_u_rad=5e-4, repeatability_mm=0
 U_MM = 0.28  # of one registration touch along an axis
 
 
-def arm_settings(**settings: float) -> Arm:
-    return Arm.model_validate({"url": "emulator:", **settings})
+def arm_settings(**settings: float) -> ArmTable:
+    return ArmTable.model_validate({"url": "emulator:", **settings})
 
 
 @dataclass
@@ -100,7 +100,7 @@ class Hand:
         return Reading(self._at, 0.05, np.array([0.0, 0.0, 1.0]), n, (0,) * 6)
 
 
-def toucher(hand: Hand, *, readings: int | None = None, arm: Arm | None = None) -> Toucher:
+def toucher(hand: Hand, *, readings: int | None = None, arm: ArmTable | None = None) -> Toucher:
     settings = arm or arm_settings()
     return Toucher(
         hand.ask, TipReader(hand, settings, None), settings, VirtualClock(), lambda: None, readings

@@ -1,19 +1,11 @@
-"""`bath read|learn|set|watch|standby|acknowledge`: the water bath alone, without a rig file.
-
-`watch` shows its last minutes as a plot of characters, its state, and how long until it is stable;
-it changes nothing at the bath.
+"""What `bath watch` shows of a bath: its last minutes as a plot of characters, its state, and how
+long until it is stable.
 """
 
 from __future__ import annotations
 
-import argparse
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing
-from dataclasses import asdict
-from itertools import takewhile
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,104 +14,14 @@ from rich.live import Live
 from rich.text import Text
 
 import bench
-from bench.cli.arguments import CODES, complain, print_json, print_values, say
-from bench.cli.terminal import Terminal
-from instruments import BathReading, InstrumentError, LimitError, RealClock
+from instruments import BathReading
 
-PERIOD_S = 1.0
+PERIOD_S = 1.0  # between two readings
 KEPT_S = 3600.0
 WIDTH, HEIGHT = 72, 14
 LEAST_SPAN_K = 0.2  # or noise would fill the plot
 POINT, LINE = "•", "─"
 BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
-
-
-def _opened(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Any]:
-    return bench.open_bath(given.port, given.profile or "", capture=given.capture, **how)
-
-
-def read(given: argparse.Namespace) -> None:
-    with _opened(given) as bath:
-        values = bench.describe_bath(bath)
-    if given.json:
-        print_json(values)
-        return
-    print_values({key: "not reported" if one is None else one for key, one in values.items()})
-
-
-def learn(given: argparse.Namespace) -> int:
-    """Asks for each row by itself and writes nothing: for a profile that is being made."""
-    with _opened(given, identify=False) as bath:
-        found = bench.try_bath(bath)
-    tried, asked = found.rows, [one for one in found.rows if one.readable]
-    if given.json:
-        print_json({"rows": [asdict(one) for one in tried]})
-    else:
-        width = max(len(one.row) for one in tried)
-        for one in tried:
-            mark = "+" if one.sensible else "?" if one.answered else "-"
-            print(f"{mark} {one.row:{width}}  {one.asked}: {one.said}")
-        sensible = sum(one.sensible for one in tried)
-        print(f"{sensible} of {len(asked)} rows that can be read made sense")
-    if found.doubt:
-        why = f"no controller answers: {found.doubt}"
-        return complain(f"bath at {given.port}: {why}", CODES.fault)
-    if not any(one.answered for one in tried):
-        why = next((one.said for one in asked), "it can't be read")
-        return complain(f"bath at {given.port}: no row made sense: {why}", CODES.fault)
-    return CODES.met
-
-
-def change(given: argparse.Namespace) -> int:
-    # a bath that runs is to go on, at another temperature
-    with _opened(given, allow_inferred=given.allow_inferred, leave_running=True) as bath:
-        try:
-            if given.display is not None:
-                bath.confirm_unit(given.display)
-            bath.set_point(given.set_point)
-        except LimitError as error:
-            return complain(str(error), CODES.wrong_use)
-        works = bath.get("run") == bath.profile.row("run").values["started"]
-        state = "the bath is in standby"
-        if works:
-            state = (
-                "it is heating or cooling to it now. IT STAYS ON: 'teatbench bath standby' ends it"
-            )
-        print(f"set point {bath.get('set_point'):.2f} degC; {state}")
-    return CODES.met
-
-
-def watch(given: argparse.Namespace) -> None:
-    with _opened(given) as bath, closing(RealClock()) as clock:
-        end_s = clock.now() + (given.seconds or math.inf)
-        views = bench.watch_bath(bath, PERIOD_S, clock=clock)
-        try:
-            show_views(takewhile(lambda _: clock.now() < end_s, views), Terminal())
-        except KeyboardInterrupt:
-            say("left as it is; 'teatbench bath standby' switches the heater off")
-
-
-def standby(given: argparse.Namespace) -> int:
-    with _opened(given, identify=False) as bath:
-        bath.safe()
-        try:
-            print(f"in standby at {bath.read().temp_c:.2f} degC")
-        # what matters is done; an alarm or a broken sensor doesn't undo it
-        except InstrumentError as error:
-            if bath.doubt:
-                what = f"bath at {given.port}: standby was sent, but no controller answers"
-                return complain(f"{what}: {bath.doubt}. Look at the bath.", CODES.fault)
-            print(f"in standby; no temperature: {error}")
-    return CODES.met
-
-
-def acknowledge(given: argparse.Namespace) -> None:
-    if (found := bench.latched(bench.load_rig(given.rig))) is None:
-        say("nothing is latched: no interlock of this rig waits to be acknowledged")
-        return
-    say(f"latched: {found}")
-    bench.acknowledge(given.rig, capture=given.capture)
-    print("acknowledged; the rig may run again")
 
 
 def plot(samples: Sequence[BathReading], set_point_c: float) -> list[str]:
