@@ -86,6 +86,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", WRONG)
 def test_a_wrong_argument_ends_an_example_as_a_command(words: str) -> None:
     command = [sys.executable, *words.split()]

@@ -223,6 +223,7 @@ def opencv_camera(shared_data: Path, camera: str, sub_pixel: SubPixel) -> Camera
     return calibrate_camera(camera, views, (640, 480), model=OPENCV_MODEL, square_pixels=True)
 
 
+@pytest.mark.slow
 def test_opencvs_pictures(shared_data: Path) -> None:
     wide = opencv_camera(shared_data, "left", SubPixel(11, 30, 0.1))
     narrow = opencv_camera(shared_data, "left", SubPixel(5, 30, 0.1))

@@ -103,6 +103,7 @@ def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goe
     within(lambda: not any(map(alive, pids)), "all have ended")
 
 
+@pytest.mark.slow
 @linux
 def test_the_system_refuses_far_more_memory_than_allowed(start: Start, rig: Calibration) -> None:
     """Memory that was never touched is not resident, so that only the hard limit can see it."""

@@ -38,6 +38,7 @@ def matlab_dilation(image: NDArray[np.uint8], element: NDArray[np.int_]) -> NDAr
     return result
 
 
+@pytest.mark.slow
 def test_dilations_are_matlabs() -> None:
     image = np.random.default_rng(6).integers(0, 256, (24, 22)).astype(np.uint8)
     assert np.array_equal(grey_dilation(image, P), matlab_dilation(image, FIGURE_4_12))

@@ -41,6 +41,7 @@ def taken(kind: str, text: str | bytes, folder: Path) -> Part:
     return read_foreign([path], kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind", "why"),
     [

@@ -146,12 +146,14 @@ def test_without_a_camera_to_guide_so_many_views_are_taken(tmp_path: Path) -> No
     assert room.note[-1] == "3 views are enough. Still missing: nothing."
 
 
+@pytest.mark.slow
 def test_who_shows_nothing_is_not_asked_for_ever(tmp_path: Path) -> None:
     room = Room(empty=(1, 2, 3))
     assert room.gather(tmp_path, ViewsRequest(("left",), ("left",), most=3)) == 3
     assert "12 more views" in room.note[-1]
 
 
+@pytest.mark.slow
 def test_a_camera_that_comes_back_costs_no_view(tmp_path: Path) -> None:
     room, fault = Room(), LinkError("left camera", "can't be opened")
     room.lost = [fault, fault]
@@ -198,6 +200,7 @@ def test_a_camera_that_stays_away_leaves_what_was_taken_and_says_where(tmp_path:
     assert (tmp_path / "left" / "01.png").is_file()
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_at_the_second_view_leaves_the_first_and_says_where(
     tmp_path: Path,
 ) -> None:

@@ -92,6 +92,7 @@ def expected() -> Array:
     return np.vstack([points, points])
 
 
+@pytest.mark.slow
 def test_points_of_one_position_are_kept_whatever_becomes_of_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

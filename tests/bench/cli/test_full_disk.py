@@ -86,6 +86,7 @@ def test_a_recording_that_would_not_fit_is_refused_before_it_is_scored(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a full device")
 def test_output_that_goes_to_a_full_disk_is_named() -> None:
     command = [sys.executable, "-m", "bench.cli", "rigs"]
@@ -95,6 +96,7 @@ def test_output_that_goes_to_a_full_disk_is_named() -> None:
     assert done.stderr == "teatbench: stdout: No space left on device. Make room.\n"
 
 
+@pytest.mark.slow
 def test_a_report_that_cannot_be_written_says_that_the_run_is_kept(
     tmp_path: Path, said: Said
 ) -> None:

@@ -235,6 +235,7 @@ def assert_told(out: Path, *reports: Path) -> None:
             assert all(NOT_AS_WRITTEN in row for row in rows)
 
 
+@pytest.mark.slow
 def test_an_export_that_fails_amid_its_tables_leaves_none(
     run: Path, tmp_path: Path, said: Said
 ) -> None:

@@ -88,6 +88,7 @@ def flipped(data: bytes, at: int, bits: int) -> bytes:
     return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]
 
 
+@pytest.mark.slow
 def test_sixteen_runs_of_one_second_get_sixteen_folders(tmp_path: Path) -> None:
     now, start = wall_time(), threading.Barrier(16)
     made: list[Path] = []

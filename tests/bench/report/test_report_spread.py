@@ -136,6 +136,7 @@ def tilted(poses: int, slope: float) -> ErrorRows:
     )
 
 
+@pytest.mark.slow
 def test_a_trend_with_tilt_is_shown_with_its_slope_and_interval() -> None:
     parts = list(trend_parts(tilted(30, 0.2), "fused"))
     rows = {(row[0], row[1]): row for row in table(parts, "Trends of the error")}

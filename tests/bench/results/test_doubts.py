@@ -145,6 +145,7 @@ def sound(draw: st.DataObject) -> Table:
     return table
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(10), phases=DRAWN)
 @given(st.data())
 def test_no_sound_calibration_is_doubted(draw: st.DataObject) -> None:
@@ -213,6 +214,7 @@ def test_sisters_of_it(change: str, why: str) -> None:
     assert why in "; ".join(found)
 
 
+@pytest.mark.slow
 def test_an_end_that_no_picture_can_show_is_truths_own(tmp_path: Path) -> None:
     """Hidden ends may lie anywhere; one visible end too far away is named."""
     made = recording()

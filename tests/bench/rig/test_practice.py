@@ -54,6 +54,7 @@ USES: dict[str, Callable[[Devices], object]] = {
 }
 
 
+@pytest.mark.slow
 def test_each_cable_is_pulled_and_put_back(rig: tuple[practice.Practice, Devices]) -> None:
     hands, devices = rig
     assert [*hands.shown.cables] == [*USES]
@@ -92,6 +93,7 @@ def test_the_room_is_warmed_and_the_stage_jammed(rig: tuple[practice.Practice, D
     assert hands.shown.jammed is False
 
 
+@pytest.mark.slow
 def test_what_a_console_leaves_is_done_once(tmp_path: Path) -> None:
     loaded, began_s = load_rig(write_small_rig(tmp_path)), stopwatch_s()
     clock = PacedClock(1000.0)

@@ -49,6 +49,7 @@ def places(rng: np.random.Generator) -> Floats:
     return rng.uniform(-100.0, 100.0, (N, 3))
 
 
+@pytest.mark.slow
 def test_squares_have_the_mean_and_the_variance_of_their_draws() -> None:
     rng = np.random.default_rng(1)
     truth = turned(places(rng))
@@ -63,6 +64,7 @@ def test_squares_have_the_mean_and_the_variance_of_their_draws() -> None:
     assert variance == pytest.approx(np.var(seen), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_mean_has_the_covariance_of_its_draws() -> None:
     rng = np.random.default_rng(2)
     truth, weights = turned(places(rng)), rng.uniform(0.0, 2.0 / N, N)

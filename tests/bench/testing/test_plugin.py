@@ -165,6 +165,7 @@ def run(pytester: pytest.Pytester, program: str, *words: str) -> pytest.RunResul
         return pytester.runpytest_inprocess(*PLUGIN, *words)
 
 
+@pytest.mark.slow
 def test_it_imports_nothing_before_it_is_asked(pytester: pytest.Pytester) -> None:
     program = """
         import sys
@@ -245,6 +246,7 @@ def test_what_is_not_safe_ends_the_session(pytester: pytest.Pytester) -> None:
     result.stdout.fnmatch_lines("*NOT SAFE: its relay sticks*")
 
 
+@pytest.mark.slow
 def test_sessions_of_others_go_on_as_without_the_plug_in(pytester: pytest.Pytester) -> None:
     """Marks and an option of the same name, a folder ``found``, and a hypothesis that can't name
     its profile.
@@ -281,6 +283,7 @@ def test_sessions_of_others_go_on_as_without_the_plug_in(pytester: pytest.Pytest
     assert "REQ-42" not in Path("j.xml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_requirement_without_a_trial_is_said_not_to_be_decided(
     pytester: pytest.Pytester, rig: str
 ) -> None:
@@ -478,6 +481,7 @@ def test_a_session_that_ends_early_leaves_an_aborted_run(
         assert any(early in str(event) for event in run.events)
 
 
+@pytest.mark.slow
 def test_an_interrupted_session_ends_its_run_once_fixtures_are_down(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:

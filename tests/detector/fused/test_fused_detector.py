@@ -122,6 +122,7 @@ def test_a_teat_that_one_camera_doesnt_see_is_hidden_and_the_trace_says_why(
     assert len(reasons) == len(decisions.data["teats"])
 
 
+@pytest.mark.slow
 def test_warm_grey_levels_do(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
     frames = draw_scene(udder)
     assert frames.thermal_k is not None

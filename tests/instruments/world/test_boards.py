@@ -166,6 +166,7 @@ def test_a_heated_board_shows_its_squares_to_the_thermal_camera() -> None:
     assert light == pytest.approx(0.93 * 28.0 + 0.07 * 20.0, abs=0.25)
 
 
+@pytest.mark.slow
 def test_a_board_that_moves_is_smeared_along_its_way() -> None:
     """At 50 mm/s and 0.1 s: over 5 mm, some 5.7 px, about the place at mid-exposure."""
     board = replace(UPRIGHT, pattern=Pattern("plain", 6, 6, 25.0, 0.0))
