@@ -12,7 +12,6 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import astuple, replace
 from functools import wraps
 from itertools import count
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
