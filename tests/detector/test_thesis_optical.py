@@ -16,9 +16,9 @@ from detector.thesis.optical import (
     nominate,
     refine,
 )
-from detector.thesis.parameters import Parameters
+from detector.thesis.parameters import ThesisParameters
 
-P = Parameters()
+P = ThesisParameters()
 FIGURE_4_12 = np.array(
     [[int(c) for c in row] for row in ("0011111100", "0111111110", *["1111111111"] * 7)]
 )

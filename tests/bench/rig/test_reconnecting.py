@@ -15,7 +15,7 @@ from bench.rig.arm_files import load_verification
 from bench.truth.registration import load_registration
 from instruments.errors import DeviceError, InstrumentError, LinkError
 from instruments.microscribe.driver import MicroScribe, Reading
-from instruments.stage.calls import StageCalls
+from instruments.stage.calls import Stage
 from tests.bench.commands import Person, Said, teatbench
 from tests.bench.operated_runs import shipped_rig
 from tests.bench.truth.test_truth_runs import CARRY, done, script_in
@@ -149,7 +149,7 @@ def test_a_registration_goes_on_where_arm_or_stage_were_lost(
     monkeypatch.undo()
     reads = losing(monkeypatch, MicroScribe, "read", {4: silent(), 7: silent()})
     jam = DeviceError("stage", "alarm 1: hard limit")
-    losing(monkeypatch, StageCalls, "move_to", {3: silent("stage"), 5: jam})
+    losing(monkeypatch, Stage, "move_to", {3: silent("stage"), 5: jam})
     shown = said(0, command, rig, tmp_path / "broken.toml").out
     assert reads["done"] == touched, "no touch is made twice"
     assert shown.count(BACK) == 2

@@ -46,7 +46,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.microscribe.driver import MicroScribe, Reading
 from instruments.microscribe.errors import AnotherArmError, SilentArmError
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.commands import Said
 from tests.bench.fault_catalogue import Bringer, known_to
@@ -240,26 +240,26 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     """The trip comes while the stage is connected anew: nothing may move from then on."""
     files(tmp_path, stage=STAGE, emulation=fault("stage", "silent", 45.0, 30.0))
     low_level = Bringer("", EmulatedFault(instrument="bath", name="low level", for_s=600.0))
-    reconnect, home, wait = Stage.reconnect, Stage.home, RunContext.wait
+    reconnect, home, wait = OwnStage.reconnect, OwnStage.home, RunContext.wait
     contexts, homings = list[RunContext](), list[bool]()
 
     def noted(ctx: RunContext, seconds: float) -> None:
         contexts.append(ctx)
         wait(ctx, seconds)
 
-    def slow(stage: Stage) -> None:
+    def slow(stage: OwnStage) -> None:
         reconnect(stage)
         low_level.bring()
         while contexts[-1].watch.tripped is None:
             contexts[-1].clock.sleep(1.0)
 
-    def homed(stage: Stage) -> None:
+    def homed(stage: OwnStage) -> None:
         homings.append(bool(contexts) and contexts[-1].watch.tripped is not None)
         home(stage)
 
     monkeypatch.setattr(RunContext, "wait", noted)
-    monkeypatch.setattr(Stage, "reconnect", slow)
-    monkeypatch.setattr(Stage, "home", homed)
+    monkeypatch.setattr(OwnStage, "reconnect", slow)
+    monkeypatch.setattr(OwnStage, "home", homed)
     record = ended(tmp_path, low_level)
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "controller alarm")
     assert homings == [False], "once, to prepare"
@@ -272,7 +272,7 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     """A trip between two trials, of a bath whose last reading was a stable one."""
     files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
     refusing = Bringer("", EmulatedFault(instrument="bath", name="gaps refused", for_s=600.0))
-    before, move, moved = TouchedTruth.before, Stage.move_to, list[bool]()
+    before, move, moved = TouchedTruth.before, OwnStage.move_to, list[bool]()
 
     def trips(truth: TouchedTruth, shown: ExpectedScene) -> None:
         before(truth, shown)
@@ -281,12 +281,12 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
             refusing.bring()
             truth.toucher.clock.sleep(30.0)
 
-    def noted(stage: Stage, **where: float | None) -> None:
+    def noted(stage: OwnStage, **where: float | None) -> None:
         moved[-1] = True
         move(stage, **where)  # type: ignore[arg-type]
 
     monkeypatch.setattr(TouchedTruth, "before", trips)
-    monkeypatch.setattr(Stage, "move_to", noted)
+    monkeypatch.setattr(OwnStage, "move_to", noted)
     record = ended(tmp_path, refusing)
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "implausible reading")
     assert moved == [True, False]

@@ -28,7 +28,7 @@ from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError
 from instruments.link import Link
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.board import StageEmulator
 from instruments.stage.emulator.store import CLASSIC
 from instruments.stage.protocol import HOLD
@@ -41,19 +41,19 @@ from tests.waiting import PATIENCE_S
 
 
 @contextmanager
-def homed() -> Iterator[tuple[StageEmulator, Stage]]:
+def homed() -> Iterator[tuple[StageEmulator, OwnStage]]:
     with (
         served(lambda clock: StageEmulator(clock, dialect=CLASSIC)) as (device, url),
         closing(RealClock()) as clock,
         closing(Link(url, clock, who="stage")) as link,
     ):
-        stage = Stage(link, clock)
+        stage = OwnStage(link, clock)
         stage.connect()
         yield device, stage
 
 
 @contextmanager
-def peer(answer: Callable[[socket.socket], None]) -> Iterator[Stage]:
+def peer(answer: Callable[[socket.socket], None]) -> Iterator[OwnStage]:
     """A stage at a port of which ``answer`` has the other end."""
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
@@ -63,7 +63,7 @@ def peer(answer: Callable[[socket.socket], None]) -> Iterator[Stage]:
         theirs, _ = server.accept()
         with theirs:
             answer(theirs)
-            yield Stage(link, clock)
+            yield OwnStage(link, clock)
 
 
 def test_a_stage_that_stands_says_so_itself() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.carriage import AxisDrive, Mounting
-from instruments.stage.emulator.gcode import GCode, Move
+from instruments.stage.emulator.gcode import GCode, StraightMove
 from instruments.stage.emulator.motion import AxisRates, LinearMove, Motion, MoveSegment, Vector
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
@@ -272,7 +272,9 @@ def test_an_arc_goes_round_its_centre(
     line: str, centre: tuple[float, float], radius: float, turn_deg: float
 ) -> None:
     """Signs by hand: G2 is clockwise, and a negative R is the longer way round."""
-    places = [one.target_mm for one in GCode("XYZ", 1e7).take(line) if isinstance(one, Move)]
+    places = [
+        one.target_mm for one in GCode("XYZ", 1e7).take(line) if isinstance(one, StraightMove)
+    ]
     ways = [(x - centre[0], y - centre[1]) for x, y, _ in [(0.0, 0.0, 0.0), *places]]
     assert [math.hypot(*way) for way in ways] == pytest.approx([radius] * len(ways))
     angles = [math.degrees(math.atan2(y, x)) for x, y in ways]
