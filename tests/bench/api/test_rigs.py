@@ -16,8 +16,9 @@ from instruments import LimitError
 from tests.conftest import ROOT
 from tests.instruments.interrupts import interrupts
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
 def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
     with bench.open_rig("emulated") as rig:
         rig.home()
@@ -36,7 +37,6 @@ def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
         assert np.linalg.norm(np.subtract(end.xyz_mm, exact.xyz_mm)) < 2.0
 
 
-@pytest.mark.slow
 def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
     with bench.open_rig("emulated") as rig:
         bath, stage = rig.bath, rig.stage
@@ -69,7 +69,6 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
         stage.position()
 
 
-@pytest.mark.slow
 def test_ctrl_c_amid_any_step_leaves_a_rig_that_can_be_used() -> None:
     with bench.open_rig("emulated", ("bath",)) as rig, interrupts() as interrupt_in:
         for number in range(100):
@@ -92,7 +91,6 @@ def test_what_was_done_is_said_and_nothing_too() -> None:
     assert not bench.acknowledge("emulated")
 
 
-@pytest.mark.slow
 def test_cameras_are_not_used_behind_their_with_block(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.full((48, 64), 90, np.uint8))
     for sources in ([], [f"files:{tmp_path}/*.png"]):
@@ -114,7 +112,6 @@ class Blind:
         return Detection(())
 
 
-@pytest.mark.slow
 def test_a_detector_is_an_object_too_and_none_behind_its_with_block() -> None:
     (line, _), *_ = bench.detect_recording(ROOT / "tests" / "data" / "path_traced", [Blind()])
     assert (line["detector"], line["teats"]) == ("blind", [])
@@ -127,7 +124,6 @@ def test_a_detector_is_an_object_too_and_none_behind_its_with_block() -> None:
         cast(Any, fused).detect()
 
 
-@pytest.mark.slow
 def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None:
     (tmp_path / "late.py").write_text("import time; time.sleep(30)", encoding="utf-8")
     shot = bench.Shot(*(getattr(bench.draw("ideal", 3), one) for one in ("frames", "calibration")))
@@ -147,7 +143,6 @@ def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None
 OPENS = "import bench\nwith bench.program(''), bench.open_rig('lab.toml', ('bath',)): print('open')"
 
 
-@pytest.mark.slow
 def test_a_real_rig_that_is_open_is_nobody_elses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

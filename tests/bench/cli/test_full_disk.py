@@ -18,6 +18,8 @@ from bench.run import estimate
 from tests.bench.commands import Said, full
 from tests.bench.small_run import KEPT
 
+pytestmark = pytest.mark.slow
+
 CALIBRATION = KEPT / "calibration.toml"
 COMMANDS = {
     "a run": "run six-situations --out {there}/runs",
@@ -53,7 +55,6 @@ CASES += [(what, 1200) for what in ("tables", "a recording")]
 CASES += [(what, 10_000) for what in ("a comparison", "scenes", "boards", "frames")]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("what", "most"), CASES)
 def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     what: str, most: int, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
@@ -86,7 +87,6 @@ def test_a_recording_that_would_not_fit_is_refused_before_it_is_scored(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a full device")
 def test_output_that_goes_to_a_full_disk_is_named() -> None:
     command = [sys.executable, "-m", "bench.cli", "rigs"]
@@ -96,7 +96,6 @@ def test_output_that_goes_to_a_full_disk_is_named() -> None:
     assert done.stderr == "teatbench: stdout: No space left on device. Make room.\n"
 
 
-@pytest.mark.slow
 def test_a_report_that_cannot_be_written_says_that_the_run_is_kept(
     tmp_path: Path, said: Said
 ) -> None:

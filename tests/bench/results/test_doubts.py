@@ -24,6 +24,8 @@ from tests.conftest import ROOT
 from tests.examples import examples
 from textfiles.documents import read_toml
 
+pytestmark = pytest.mark.slow
+
 CASES = ROOT / "tests" / "data" / "cases"
 SHIPPED = ROOT / "bench" / "rigs" / "calibration.toml"
 DRAWN = [Phase.generate]  # to shrink a calibration takes minutes
@@ -145,7 +147,6 @@ def sound(draw: st.DataObject) -> Table:
     return table
 
 
-@pytest.mark.slow
 @settings(max_examples=examples(10), phases=DRAWN)
 @given(st.data())
 def test_no_sound_calibration_is_doubted(draw: st.DataObject) -> None:
@@ -159,7 +160,6 @@ def metres(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_a_baseline_in_metres_is_not_the_detectors_fault(
     metres: Path, tmp_path: Path, said: Said
 ) -> None:
@@ -183,7 +183,6 @@ def test_a_baseline_in_metres_is_not_the_detectors_fault(
     assert "looks like metres" in said(2, "detect {} --detector fused", metres).err
 
 
-@pytest.mark.slow
 def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(ROOT / "tests" / "data" / "path_traced", tmp_path / "rec"))
     assert doubts_of(Recording(folder), load_calibration(folder / "calibration.toml")) == ()
@@ -196,7 +195,6 @@ def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path) -> None:
     assert why in "; ".join(found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "why"),
     [
@@ -214,7 +212,6 @@ def test_sisters_of_it(change: str, why: str) -> None:
     assert why in "; ".join(found)
 
 
-@pytest.mark.slow
 def test_an_end_that_no_picture_can_show_is_truths_own(tmp_path: Path) -> None:
     """Hidden ends may lie anywhere; one visible end too far away is named."""
     made = recording()

@@ -30,6 +30,8 @@ from tests.chromium import Scheme, browser_page, violations, weak_texts
 from tests.ports import free_ports
 from tests.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.slow
+
 ALL = ("arm", "bath", "stage", "cameras")
 SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 
@@ -54,7 +56,6 @@ USES: dict[str, Callable[[Devices], object]] = {
 }
 
 
-@pytest.mark.slow
 def test_each_cable_is_pulled_and_put_back(rig: tuple[practice.Practice, Devices]) -> None:
     hands, devices = rig
     assert [*hands.shown.cables] == [*USES]
@@ -93,7 +94,6 @@ def test_the_room_is_warmed_and_the_stage_jammed(rig: tuple[practice.Practice, D
     assert hands.shown.jammed is False
 
 
-@pytest.mark.slow
 def test_what_a_console_leaves_is_done_once(tmp_path: Path) -> None:
     loaded, began_s = load_rig(write_small_rig(tmp_path)), stopwatch_s()
     clock = PacedClock(1000.0)
@@ -119,7 +119,6 @@ def post(url: str, words: str, **headers: str) -> str:
         return str(answer.read().decode("utf-8"))
 
 
-@pytest.mark.slow
 def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,7 +148,6 @@ def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
 
 
 @pytest.mark.browser
-@pytest.mark.slow
 def test_the_page_follows_the_cables_and_can_be_read_by_everybody(tmp_path: Path) -> None:
     with browser_page() as seen:
         page = seen.page

@@ -20,6 +20,8 @@ from tests.bench.commands import Person, Said, teatbench
 from tests.bench.operated_runs import shipped_rig
 from tests.bench.truth.test_truth_runs import CARRY, done, script_in
 
+pytestmark = pytest.mark.slow
+
 AGAIN = "The arm was lost: put its stylus on its peg"
 SAME = "It shows whether those before count."
 BACK = "The arm is back, and homed again."
@@ -64,7 +66,6 @@ def silent(who: str = "arm") -> LinkError:
         ),
     ],
 )
-@pytest.mark.slow
 def test_an_arm_that_is_lost_amid_its_own_commands_costs_the_touch_under_way(
     tmp_path: Path, monkeypatch: Patch, command: str, prompts: list[str], at: int, verb: str
 ) -> None:
@@ -82,7 +83,6 @@ def test_an_arm_that_is_lost_amid_its_own_commands_costs_the_touch_under_way(
     assert count["done"]
 
 
-@pytest.mark.slow
 def test_a_frame_is_touched_anew_where_the_arm_homes_elsewhere(
     tmp_path: Path, monkeypatch: Patch
 ) -> None:
@@ -110,7 +110,6 @@ def test_a_frame_is_touched_anew_where_the_arm_homes_elsewhere(
     assert person.text.count("  read ") == 8
 
 
-@pytest.mark.slow
 def test_what_an_arms_command_had_is_kept_or_named_where_it_does_not_end(
     tmp_path: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,7 +136,6 @@ def test_what_an_arms_command_had_is_kept_or_named_where_it_does_not_end(
     assert "Touched so far, and lost: origin." in person.text
 
 
-@pytest.mark.slow
 def test_a_registration_goes_on_where_arm_or_stage_were_lost(
     tmp_path: Path, monkeypatch: Patch, said: Said
 ) -> None:
@@ -157,7 +155,6 @@ def test_a_registration_goes_on_where_arm_or_stage_were_lost(
     assert len(load_registration(tmp_path / "broken.toml").stations) == 5
 
 
-@pytest.mark.slow
 def test_a_run_that_registers_its_stage_keeps_the_stations_that_it_has(
     tmp_path: Path, monkeypatch: Patch
 ) -> None:
@@ -173,7 +170,6 @@ def test_a_run_that_registers_its_stage_keeps_the_stations_that_it_has(
     assert reads["done"] == touched
 
 
-@pytest.mark.slow
 def test_a_program_keeps_the_ends_that_were_touched(monkeypatch: Patch) -> None:
     reads, warned = losing(monkeypatch, MicroScribe, "read", {5: silent()}), list[str]()
     with bench.open_rig(instruments=("arm", "stage", "operator"), warn=warned.append) as rig:

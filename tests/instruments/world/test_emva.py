@@ -13,6 +13,8 @@ import pytest
 from instruments.world.sensor import NORMAL_EXPOSURE_S, Exposure, OpticalReadout, OpticalSensor
 from tests.instruments.bath.peers import foreign
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (300, 400)
 LEVELS = np.linspace(0.0, 1.1, 23)  # of what fills a pixel
 # at level 1: the referee wants a scale, and K, noise and patterns don't depend on it
@@ -64,7 +66,6 @@ def measured(sensor: OpticalSensor, folder: Path, exposure: Exposure | None = No
     return results.Results1288(data.Data1288(load.LoadImageData(images, fload=np.load).data).data)
 
 
-@pytest.mark.slow
 def test_the_referee_returns_gain_dark_noise_and_patterns(tmp_path: Path) -> None:
     seen = measured(DEEP, tmp_path)
     assert pytest.approx(DEEP.gain_dn_per_e, rel=0.02) == seen.K
@@ -76,7 +77,6 @@ def test_the_referee_returns_gain_dark_noise_and_patterns(tmp_path: Path) -> Non
     assert seen.u_e_sat == pytest.approx(DEEP.full_well_e, rel=0.05)
 
 
-@pytest.mark.slow
 def test_gain_multiplies_the_gain_and_nothing_else(tmp_path: Path) -> None:
     quiet = replace(DEEP, white_dn=1900.0)
     seen = measured(quiet, tmp_path, Exposure(gain=2.0))
@@ -85,7 +85,6 @@ def test_gain_multiplies_the_gain_and_nothing_else(tmp_path: Path) -> None:
     assert pytest.approx(quiet.dsnu_e, rel=0.05) == seen.DSNU1288
 
 
-@pytest.mark.slow
 def test_eight_bits_keep_gain_and_patterns(tmp_path: Path) -> None:
     """Its dark noise of 0.39 grey levels is below the 0.49 that EMVA 1288 (6.5) asks for."""
     sensor = replace(OpticalSensor(), vignetting=0.0)
