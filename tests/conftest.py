@@ -112,8 +112,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Files with slow tests first, those of the whole product (docs) before all: the last of them
     would run alone in the end. Tests of many minutes only where TEATBENCH_WEEKLY is set.
     """
+    weekly = [item for item in items if item.get_closest_marker("weekly")]
+    for item in weekly:
+        item.add_marker("slow")
     if not os.environ.get("TEATBENCH_WEEKLY"):
-        weekly = [item for item in items if item.get_closest_marker("weekly")]
         config.hook.pytest_deselected(items=weekly)
         items[:] = [item for item in items if not item.get_closest_marker("weekly")]
     slow = {item.path for item in items if item.get_closest_marker("slow")}

@@ -415,7 +415,6 @@ print(json.dumps([bench.__file__, score.success, found.verdict, result.rates[0].
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> None:
     page = ROOT / "docs" / "drivers.md"
     project, rig = blocks(page, "toml")
@@ -443,7 +442,6 @@ def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> Non
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_plug_in_with_a_failing_detector_from_an_empty_folder(installed: Installed) -> None:
     """The page's programs and commands in their order; what stands for a lab's own is made first."""

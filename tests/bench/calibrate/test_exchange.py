@@ -232,7 +232,6 @@ def matlab(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_matlabs_structure_counts_pixels_from_one_and_transposes(tmp_path: Path) -> None:
     path = tmp_path / "stereo.mat"
     savemat(path, matlab())

@@ -102,7 +102,6 @@ class Room:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Path) -> None:
     room = Room(empty=(3,))
     kept = room.gather(tmp_path)

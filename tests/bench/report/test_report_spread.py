@@ -86,7 +86,6 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_too_many_teats_are_one_cloud(tmp_path: Path) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]
     parts = spread(record(tmp_path, [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]))

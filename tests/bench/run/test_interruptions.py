@@ -86,7 +86,6 @@ def given(words: str, folder: Path, emulation: str) -> RunRecord:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path: Path) -> None:
     """The stage comes back without its place: no trial may move it before it has homed."""
     record = given("skip it is gone", tmp_path, fault("stage", "silent", 55.0, 60.0))
@@ -99,7 +98,6 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_touch(
     tmp_path: Path,
 ) -> None:
@@ -342,7 +340,6 @@ NARROW = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) -> None:
     dead = fault("bath", "dead heater", 855.0, 105.0).replace("prompt_s = 5.0", "prompt_s = 120.0")
     record = record_of(tmp_path, script=NARROW, emulation=dead)

@@ -112,7 +112,6 @@ def accused(runs: int, *, with_truth: bool) -> dict[str, float]:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None:
     runs = examples(120)
     found = accused(runs, with_truth=True)
@@ -120,7 +119,6 @@ def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_without_the_truth_it_is_accused() -> None:
     found = accused(examples(120), with_truth=False)
     assert found["bias"] > 0.5, found
