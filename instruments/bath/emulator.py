@@ -16,13 +16,7 @@ from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, ModbusDevice, RegisterProfile, RelayProfile
 from instruments.bath.protocol import Frame, ModbusException, RawRequest, Read, ReadWrite, Write
-from instruments.bath.register_semantics import (
-    Behaviour,
-    Cells,
-    RegisterController,
-    Values,
-    behaviour_of,
-)
+from instruments.bath.register_semantics import Behaviour, Cells, Panel, Values, behaviour_of
 from instruments.bath.rows import Row
 from instruments.bath.witness import device_of
 from instruments.clock import Clock
@@ -272,7 +266,7 @@ class BathEmulator(Server):
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
     settings: ClassVar[Mapping[str, str]] = SETTING_FAULTS
     profile: RegisterProfile
-    panel: RegisterController
+    panel: Panel
 
     def __init__(
         self,
@@ -284,7 +278,7 @@ class BathEmulator(Server):
         framing: Framing | None = None,
     ) -> None:
         behaviour, device = behaviour_of(profile), device_of(profile)
-        panel = RegisterController(plant, device, behaviour, unit_id or profile.unit_id)
+        panel = Panel(plant, device, behaviour, unit_id or profile.unit_id)
         super().__init__(plant, device, clock, behaviour, panel, unit_id, framing)
         self.profile = profile
         plant.fit(circulator=profile.capabilities.pump == "with run")

@@ -11,13 +11,7 @@ from pydantic import BaseModel, model_validator
 
 from instruments.device_file import read_device
 from instruments.microscribe import configuration as conf
-from instruments.microscribe.configuration import (
-    Counts,
-    DeviceInfo,
-    Identity,
-    JointParameters,
-    Maxima,
-)
+from instruments.microscribe.configuration import Counts, DeviceInfo, Identity, Joints, Maxima
 from instruments.microscribe.protocol import Code
 
 SHIPPED = Path(__file__).with_name("units")
@@ -57,7 +51,7 @@ def shipped_unit(serial_number: str) -> ArmIdentity:
 
 
 @dataclass(frozen=True, slots=True)
-class _Parameters(JointParameters):
+class _Parameters(Joints):
     beta: conf.Word = 0
 
 
@@ -73,7 +67,7 @@ class _File(BaseModel, extra="forbid"):
 
     def arm(self) -> ArmIdentity:
         p = self.parameters
-        parameters = JointParameters(p.alpha, p.a, p.d)
+        parameters = Joints(p.alpha, p.a, p.d)
         return ArmIdentity(self.names, self.maxima, parameters, p.beta, self.peg.counts)
 
     @model_validator(mode="after")

@@ -16,7 +16,13 @@ from hypothesis import strategies as st
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.carriage import AxisDrive, Mounting
 from instruments.stage.emulator.gcode import GCode, StraightMove
-from instruments.stage.emulator.motion import AxisRates, LinearMove, Motion, MoveSegment, Vector
+from instruments.stage.emulator.motion import (
+    AxisRates,
+    CountedMotion,
+    LinearMove,
+    MoveSegment,
+    Vector,
+)
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
@@ -46,7 +52,7 @@ def test_a_run_covers_its_length_and_ends_at_rest(
 def test_any_path_with_any_holds_and_overrides_is_smooth_and_ends_at_its_target(
     moves: list[tuple[Vector, float]], holds: list[tuple[float, int]]
 ) -> None:
-    motion, now = Motion((-1.0, -1.0, -1.0)), 0.0
+    motion, now = CountedMotion((-1.0, -1.0, -1.0)), 0.0
     for target, feed in moves:
         motion.go(target, feed, RATES, now)
     for run, percent in holds:
