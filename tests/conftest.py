@@ -154,17 +154,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Notes what takes as much of a processor as a slow test and isn't marked as one."""
-    before_s = _processor_s()
+    """Notes what takes as much of a processor as a slow test, with the processes that it has waited
+    for, and isn't marked as one.
+    """
+    before_s = sum(os.times()[:4])
     yield
-    took_s = _processor_s() - before_s
+    took_s = sum(os.times()[:4]) - before_s
     if took_s > SLOW_S and not item.get_closest_marker("slow"):
         item.user_properties.append((f"{UNMARKED}{item.nodeid}", round(took_s, 2)))
-
-
-def _processor_s() -> float:
-    """Of this process, and of those that it has waited for."""
-    return sum(os.times()[:4])
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
