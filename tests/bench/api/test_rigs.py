@@ -13,6 +13,7 @@ import pytest
 import bench
 from detector import Calibration, Detection, Frames, Outcome, registry
 from instruments import LimitError
+from tests.bench.operated_runs import shipped_rig
 from tests.conftest import ROOT
 from tests.instruments.interrupts import interrupts
 
@@ -122,6 +123,17 @@ def test_a_detector_is_an_object_too_and_none_behind_its_with_block() -> None:
         assert isinstance(fused, type(registry.create("fused")))
     with pytest.raises(LimitError, match=r"^detector: it was closed at the end"):
         cast(Any, fused).detect()
+
+
+def test_a_rig_that_was_calibrated_anew_is_drawn_by_its_new_calibration(tmp_path: Path) -> None:
+    small, whole = (
+        bench.draw("ideal", 3, rig=shipped_rig(tmp_path, whole=whole)) for whole in (False, True)
+    )
+    rows = [shot.frames.left.shape[0] for shot in (small, whole)]
+    assert [shot.calibration.left.image_size[1] for shot in (small, whole)] == rows
+    assert rows[0] < rows[1]
+    at_mm = [np.array([end.xyz_mm for end in shot.truth]) for shot in (small, whole)]
+    assert np.array_equal(*at_mm)
 
 
 def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None:
