@@ -68,7 +68,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if os.environ.get("PYTEST_XDIST_WORKER"):
         import cv2
 
-        atexit.register(_end_at_once)
+        atexit.register(_end_at_once, os.getpid())
         gc.disable()  # what is imported and collected stays
         cv2.setNumThreads(1)  # others have the other processors, and idle threads spin
     if not config.getoption("numprocesses", None):  # else the workers run the tests
@@ -135,9 +135,9 @@ def pytest_collection_finish() -> None:
     atexit.register(gc.unfreeze)
 
 
-def _end_at_once() -> None:
+def _end_at_once(worker: int) -> None:
     """A worker has told all that it knows, and Python would free each object for a second."""
-    if "coverage" not in sys.modules:  # which writes what it has measured later
+    if os.getpid() == worker and "coverage" not in sys.modules:  # which writes its figures later
         os._exit(0)
 
 
