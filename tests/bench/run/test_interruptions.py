@@ -64,6 +64,8 @@ from tests.bench.operated_runs import (
 from tests.bench.small_run import KEPT
 from tests.examples import few
 
+pytestmark = pytest.mark.slow
+
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
 
 
@@ -114,7 +116,6 @@ def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_t
     assert sum(touch["t_s"] < lost_s for touch in touches) == 2
 
 
-@pytest.mark.slow
 def test_an_abort_is_taken_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
     record = given("abort", tmp_path, fault("arm", "silent", 0.1))
     assert (record.ending, len(record.trials)) == ("aborted", 0)
@@ -134,7 +135,6 @@ class When(Bringer):
             self.twin._clock.call_at(self.at_s, self.bring)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("blocked", "noticed"), few([(2, 2), (1, 3)], 2))
 def test_a_move_that_is_blocked_is_noticed_by_touched_ends(
     blocked: int, noticed: int, tmp_path: Path
@@ -157,7 +157,6 @@ def test_a_move_that_is_blocked_is_noticed_by_touched_ends(
     assert all(doubt.endswith(f"stood in {TRIALS[0]}, {TRIALS[1]}") for doubt in doubts)
 
 
-@pytest.mark.slow
 def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Path) -> None:
     """What comes behind the last trial is done again like a trial is."""
     files(tmp_path, check_point=CHECK_POINT, emulation="prompt_s = 2.0")
@@ -193,7 +192,6 @@ def touched_by(homed_alike: bool, folder: Path, monkeypatch: pytest.MonkeyPatch)
     return record
 
 
-@pytest.mark.slow
 def test_touches_count_where_an_arm_that_was_homed_again_finds_its_check_point(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,7 +207,6 @@ def test_touches_count_where_an_arm_that_was_homed_again_finds_its_check_point(
     assert "(1 new: nothing has moved since the others)" in amid
 
 
-@pytest.mark.slow
 def test_touches_go_where_an_arm_that_was_homed_again_misses_its_check_point(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,7 +217,6 @@ def test_touches_go_where_an_arm_that_was_homed_again_misses_its_check_point(
     assert "are dropped: the check point is 5.2" in dropped
 
 
-@pytest.mark.slow
 def test_touches_go_where_a_rig_without_a_check_point_homes_its_arm_again(tmp_path: Path) -> None:
     files(tmp_path, emulation="prompt_s = 5.0")
     loss = EmulatedFault(instrument="arm", name="power loss", for_s=15.0)
@@ -231,7 +227,6 @@ def test_touches_go_where_a_rig_without_a_check_point_homes_its_arm_again(tmp_pa
     assert texts(record, "touches")[1].endswith("and the rig has no check point (docs/rig.md)")
 
 
-@pytest.mark.slow
 def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,7 +258,6 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     assert homings == [False], "once, to prepare"
 
 
-@pytest.mark.slow
 def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -290,7 +284,6 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     assert moved == [True, False]
 
 
-@pytest.mark.slow
 def test_one_that_fails_again_each_time_it_is_back_ends_the_run_after_the_tables_tries(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -358,7 +351,6 @@ def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) 
     assert max(latency.seconds) < 60.0 <= late.head["ended_s"] - late.head["started_s"]
 
 
-@pytest.mark.slow
 def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -393,7 +385,6 @@ def run_with(person: Person, folder: Path) -> RunRecord:
     return record_of(folder, person, emulation="prompt_s = 5.0")
 
 
-@pytest.mark.slow
 def test_a_pause_lasts_until_somebody_says_to_go_on_and_has_no_trial_to_skip(
     tmp_path: Path,
 ) -> None:
@@ -411,7 +402,6 @@ def test_a_pause_lasts_until_somebody_says_to_go_on_and_has_no_trial_to_skip(
         assert any(words in text for text in person.warned), words
 
 
-@pytest.mark.slow
 def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_path: Path) -> None:
     lines = ["", "repeat the plate was touched", *[""] * 5, "skip it leaks"]
     run = run_with(Person("place-2", lines), tmp_path)
@@ -459,7 +449,6 @@ def test_words() -> None:
     assert [parse_request(words) for words in ("P", "go", "s  a  b", "a")] == meant
 
 
-@pytest.mark.slow
 def test_words_that_mean_nothing_are_reported_and_change_nothing(
     tmp_path: Path, said: Said
 ) -> None:
@@ -481,7 +470,6 @@ TERMINAL = pytest.mark.skipif(
 )
 
 
-@pytest.mark.slow
 @TERMINAL
 def test_a_run_that_waits_at_a_prompt_takes_requests_of_another_terminal(
     tmp_path: Path, said: Said
@@ -560,7 +548,6 @@ class Unplugging(Bringer):
             raise KeyboardInterrupt
 
 
-@pytest.mark.slow
 def test_a_camera_that_drops_out_while_the_bench_waits_is_noticed_then(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -588,7 +575,6 @@ def test_a_camera_that_drops_out_while_the_bench_waits_is_noticed_then(
     assert states[:5] == ["preparing", "settling", "paused", "settling", "running"]
 
 
-@pytest.mark.slow
 def test_water_that_is_cold_is_said_once_and_sends_nobody_to_the_cameras(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
