@@ -53,7 +53,10 @@ DRAWN = tuple(
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 KEEPING = ("tests.", "instruments.world.", "bench.campaign.")
 # what a camera sees of an empty scene: most files open the same rigs, and it takes half a second
-STAYS = ("instruments.world.optics._rays", "instruments.world.optical_camera._empty")
+STAYS = (
+    *("instruments.world.optics._rays", "instruments.world.optical_camera._empty"),
+    "tests.conftest._caches_of",
+)
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
     *("tests.test_thesis_example", "tests.test_docs", "tests.detector.test_depth"),
