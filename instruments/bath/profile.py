@@ -496,16 +496,20 @@ def line_to(url: str, profile: DeviceProfile, who: str) -> Line:
 
 def load_profile(name_or_path: str | Path) -> Profile:
     """A shipped profile by its name, or any by its path (``*.toml``). Raises DeviceFileError."""
+    return _load(name_or_path, SHIPPED, "shipped profiles", _profile_of)
 
-    def kind(content: Mapping[str, Any]) -> type[Profile]:
-        return LineProfile if "kind" in content else RegisterProfile
 
-    return _load(name_or_path, SHIPPED, "shipped profiles", kind)
+def _profile_of(content: Mapping[str, Any]) -> type[Profile]:
+    return LineProfile if "kind" in content else RegisterProfile
+
+
+def _relay_of(_: object) -> type[RelayProfile]:
+    return RelayProfile
 
 
 def load_relay(name_or_path: str | Path) -> RelayProfile:
     """As `load_profile`, for the relay of a pump."""
-    return _load(name_or_path, RELAYS, "shipped profiles of relays", lambda _: RelayProfile)
+    return _load(name_or_path, RELAYS, "shipped profiles of relays", _relay_of)
 
 
 def _load(

@@ -36,7 +36,11 @@ class ArmIdentity(DeviceInfo):
 
 def load_unit(path: Path) -> ArmIdentity:
     """The arm in the file at ``path``. Raises DeviceFileError with all its faults, or OSError."""
-    return read_device(path, lambda _: _File).arm()
+    return read_device(path, _file_of).arm()
+
+
+def _file_of(_: object) -> type[_File]:
+    return _File
 
 
 @cache
