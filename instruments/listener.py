@@ -287,9 +287,7 @@ class Listener:
             with self._lock:
                 if self._closing or self.pulled:
                     return
-                connection = ServedConnection(
-                    _ServedTcpPort(sock), self._clock, self._lock, self._pace
-                )
+                connection = ServedConnection(_TcpEnd(sock), self._clock, self._lock, self._pace)
                 self._connections.add(connection)
             connection.serve(self._device)
 
@@ -305,7 +303,7 @@ class Listener:
             return loop
 
 
-class _ServedTcpPort:
+class _TcpEnd:
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
         self.fileno = sock.fileno
