@@ -32,7 +32,7 @@ FRONT = 0.04  # of the radius: how far the middle half of a round surface lies b
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class DepthParameters:
     """mm. ``jump``: between neighbours, more is an edge; ``farther``: what is beside and above a
     teat; ``width``: of a teat; ``least_bar``: of a bar's height; ``used``: of a bar, from its end
     on; ``sd``: of an end across, up and along the camera's axis: what noise, pixels, wiggling and
@@ -49,9 +49,9 @@ class Parameters:
 
 @dataclass(frozen=True, slots=True)
 class DepthDetector:
-    """Classical; all it knows is in `Parameters` and the calibration."""
+    """Classical; all it knows is in `DepthParameters` and the calibration."""
 
-    settings: Parameters = field(default_factory=Parameters)
+    settings: DepthParameters = field(default_factory=DepthParameters)
     name: str = "depth"  # in the registry
     version: str = "1"  # counted up when an answer on any frame set changes
 
@@ -98,13 +98,13 @@ class _Slice:
     width: float
     depth: float
 
-    def follows(self, bar: Sequence[_Slice], p: Parameters) -> bool:
+    def follows(self, bar: Sequence[_Slice], p: DepthParameters) -> bool:
         """Whether it is the next of ``bar``."""
         depth = float(np.median([one.depth for one in bar[-LAST:]]))
         return abs(self.column - bar[-1].column) <= STEP_PX and abs(self.depth - depth) <= p.jump
 
 
-def _ends(depth: NDArray[np.float32], lens: Camera, p: Parameters) -> Iterator[Array]:
+def _ends(depth: NDArray[np.float32], lens: Camera, p: DepthParameters) -> Iterator[Array]:
     """Ends (3,) in the camera's frame."""
     smooth = np.where(depth > 0.0, cv2.medianBlur(depth, 3), np.float32(0.0))
     # what was not measured is taken for far away
@@ -124,7 +124,7 @@ def _ends(depth: NDArray[np.float32], lens: Camera, p: Parameters) -> Iterator[A
         growing = bars
 
 
-def _slices(v: int, row: NDArray[np.float32], lens: Camera, p: Parameters) -> Iterator[_Slice]:
+def _slices(v: int, row: NDArray[np.float32], lens: Camera, p: DepthParameters) -> Iterator[_Slice]:
     """Pieces of a row, cut where depth jumps, that are as wide as a teat before something farther
     on both sides. Flying pixels beside them count half.
     """
@@ -142,7 +142,7 @@ def _slices(v: int, row: NDArray[np.float32], lens: Camera, p: Parameters) -> It
 
 
 def _end(
-    bar: Sequence[_Slice], sharp: NDArray[np.float32], lens: Camera, p: Parameters
+    bar: Sequence[_Slice], sharp: NDArray[np.float32], lens: Camera, p: DepthParameters
 ) -> Array | None:
     """The apex: of the axis the point one radius below the bar's upper edge, and a radius on. None
     for a bar that is short or goes on at its upper edge.
@@ -168,7 +168,7 @@ def _end(
     return np.asarray(middle + radius * way / np.linalg.norm(way))
 
 
-def _upper_edge(sharp: NDArray[np.float32], top: _Slice, p: Parameters) -> float | None:
+def _upper_edge(sharp: NDArray[np.float32], top: _Slice, p: DepthParameters) -> float | None:
     """The row where a bar ends above its first slice's middle; None where nothing is farther."""
     edges, far = [], top.depth + p.farther
     for column in round(top.column) + np.array([-1, 0, 1]):

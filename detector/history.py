@@ -34,7 +34,7 @@ CLEAR = 6.0  # of chi-square, by which no other teats fit as well
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Udder:
+class ExpectedUdder:
     """Ends (n, 3) mm of ``teats`` in the udder's own frame at one fill, and the variance (n, 3) of
     each coordinate's expectation; ``own_mm2``: of a teat's own variation.
     """
@@ -60,7 +60,7 @@ def laid_over(ends_mm: Array, onto_mm: Array) -> tuple[Array, Array]:
     return turn, there - turn @ middle
 
 
-def udder_of(context: Context) -> Udder | None:
+def udder_of(context: Context) -> ExpectedUdder | None:
     """What her visits say of her udder as full as it is now; None for too few visits."""
     visits = [visit for visit in context.visits if len(visit.teats) >= LEAST_SEEN]
     if len(visits) < LEAST_VISITS or context.hours_since_milking is None:
@@ -89,7 +89,7 @@ def udder_of(context: Context) -> Udder | None:
     now = np.array([1.0, fill(context.hours_since_milking) - fills.mean()])
     ends = lines @ now
     uncertain = np.einsum("i,ncij,j->nc", now, spread, now)
-    return Udder(teats, ends, uncertain, own_mm2)
+    return ExpectedUdder(teats, ends, uncertain, own_mm2)
 
 
 def _lines(laid: Array, fills: Array, variance: Array) -> tuple[Array, Array, float]:
@@ -144,7 +144,7 @@ def predicted(context: Context, seen: Sequence[Teat]) -> Mapping[int, Teat]:
     return found
 
 
-def _assigned(udder: Udder, ends_mm: Array, stated_mm2: float) -> list[int]:
+def _assigned(udder: ExpectedUdder, ends_mm: Array, stated_mm2: float) -> list[int]:
     """Which of her teats the ends (k, 3) are; none if they aren't hers, or it might be others."""
     k = len(ends_mm)
     found = []
@@ -159,7 +159,7 @@ def _assigned(udder: Udder, ends_mm: Array, stated_mm2: float) -> list[int]:
     return which if clear and best < MISFIT2 * (3 * k - 3) else []
 
 
-def _covariance(udder: Udder, i: int, which: Sequence[int], turn: Array) -> Array:
+def _covariance(udder: ExpectedUdder, i: int, which: Sequence[int], turn: Array) -> Array:
     """(3, 3) mm^2 of an end placed by those of ``which``: its own, and the placing's."""
     variance, flat, seen = udder.variance_mm2 + udder.own_mm2, udder.ends_mm[:, :2], list(which)
     mine, by = np.diag(variance[i]), np.mean(variance[seen], axis=0)
@@ -176,7 +176,7 @@ def last_visit(context: Context, seen: Sequence[Teat]) -> Mapping[int, Array]:
     if (visit := next(enough, None)) is None:
         return {}
     ends, there = np.array([teat.world_mm for teat in seen]), visit.ends_mm
-    loose = Udder(visit.teats, there, np.zeros(there.shape), 36.0)  # at another fill
+    loose = ExpectedUdder(visit.teats, there, np.zeros(there.shape), 36.0)  # at another fill
     if not (which := _assigned(loose, ends, 1.0)):
         return {}
     turn, shift = laid_over(there[which], ends)

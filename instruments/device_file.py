@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
@@ -37,15 +38,19 @@ class FaultsError(ValueError):
 
 
 def read_device(path: Path, model_of: Callable[[Mapping[str, Any]], type[Model]]) -> Model:
-    """The file as the model that its content chooses. Raises DeviceFileError, OSError."""
+    """The file as the frozen model that its content chooses. Raises DeviceFileError, OSError."""
     try:
-        content = read_toml(text_of(path))
-        whole = json.dumps(content, default=str)
-        return model_of(content).model_validate_json(whole, strict=True)
+        return cast(Model, _model(text_of(path), model_of))  # which the cache's type leaves open
     except TextError as error:
         raise DeviceFileError(path, [((), str(error))]) from error
     except ValidationError as error:
         raise DeviceFileError(path, list(faults_of(error))) from error
+
+
+@lru_cache(maxsize=64)  # each part of a command reads its rig's, and none changes it
+def _model(text: str, model_of: Callable[[Mapping[str, Any]], type[BaseModel]]) -> BaseModel:
+    content = read_toml(text)
+    return model_of(content).model_validate_json(json.dumps(content, default=str), strict=True)
 
 
 def faults_of(error: ValidationError) -> Iterator[tuple[Keys, str]]:

@@ -287,7 +287,7 @@ class Listener:
             with self._lock:
                 if self._closing or self.pulled:
                     return
-                connection = ServedConnection(_TcpPort(sock), self._clock, self._lock, self._pace)
+                connection = ServedConnection(_TcpEnd(sock), self._clock, self._lock, self._pace)
                 self._connections.add(connection)
             connection.serve(self._device)
 
@@ -303,7 +303,7 @@ class Listener:
             return loop
 
 
-class _TcpPort:
+class _TcpEnd:
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
         self.fileno = sock.fileno

@@ -68,7 +68,7 @@ def check_pace(clock: Clock, baud: int | None, latency_s: float) -> None:
         )
 
 
-class Line:
+class PacedDirection:
     """One direction: when bytes are through. ``byte_s`` is 0 without a pace."""
 
     def __init__(self, byte_s: float) -> None:
@@ -90,7 +90,7 @@ class Pacer:
         self._clock = clock
         self._latency_s = latency_s
         self._piece = max(1, int(PIECE_S / byte_s)) if byte_s else 65536
-        self._to_device, self._to_host = Line(byte_s), Line(byte_s)
+        self._to_device, self._to_host = PacedDirection(byte_s), PacedDirection(byte_s)
         self._for_host: collections.deque[tuple[float, bytes]] = collections.deque()
         self._received = b""  # on its way to the device
         self._received_s = math.inf  # when the last byte of it is through

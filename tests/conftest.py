@@ -9,6 +9,7 @@ import contextlib
 import faulthandler
 import gc
 import os
+import re
 import signal
 import sys
 import threading
@@ -16,25 +17,26 @@ import time
 from collections.abc import Iterator
 from functools import _lru_cache_wrapper, cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import psutil
 import pytest
-from hypothesis import HealthCheck, settings
 
-from bench.record.writer import release_memory
-from bench.script.model import TRIALS
-from instruments.clock import RealClock
 from tests.examples import examples
 from tests.undrawn import bare, undrawn, without_figures
 from tests.waiting import PATIENCE_S
 
+if TYPE_CHECKING:
+    from instruments.clock import RealClock
+
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 # libraries, compiled loops and collected tests alone are some 900 MiB; Python 3.13's are larger
-TRIM_MIB, GROWN_MIB, MOST_MIB = 700.0, 32.0, 1280.0
-SLOW_S = 1.0 / 3.0  # as the marker says
+TRIM_MIB, GROWN_MIB, MOST_MIB = 700.0, 96.0, 1280.0
+THIS_PROCESS = psutil.Process()  # it is asked after each test
+SLOW_S = 0.1  # as the marker says
+INNER_LOOP = "not slow"
+SLOW_FILE = re.compile(r"^pytestmark = (\[[^]]*)?pytest\.mark\.slow\b", re.MULTILINE)
 STANDBY, UNMARKED = "s to standby, ", "s of a processor, "
 # rooms and files whose tests run the bench and look at no figure: made up to their last artist,
 # since damaged and odd data come as far as there; and of the others, which alone look at theirs
@@ -51,7 +53,10 @@ DRAWN = tuple(
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 KEEPING = ("tests.", "instruments.world.", "bench.campaign.")
 # what a camera sees of an empty scene: most files open the same rigs, and it takes half a second
-STAYS = ("instruments.world.optics._rays", "instruments.world.optical_camera._empty")
+STAYS = (
+    *("instruments.world.optics._rays", "instruments.world.optical_camera._empty"),
+    "tests.conftest._caches_of",
+)
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
     *("tests.test_thesis_example", "tests.test_docs", "tests.detector.test_depth"),
@@ -64,19 +69,13 @@ def pytest_configure(config: pytest.Config) -> None:
     tests that send them need them heard.
     """
     if os.environ.get("PYTEST_XDIST_WORKER"):
+        import cv2
+
+        atexit.register(_end_at_once, os.getpid())
         gc.disable()  # what is imported and collected stays
         cv2.setNumThreads(1)  # others have the other processors, and idle threads spin
-    # hypothesis: the same examples in a CI
-    fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
-    # how fast the machine is says nothing of the code
-    settings.register_profile(
-        "teatbench",
-        deadline=None,
-        derandomize=fixed,
-        max_examples=examples(12),
-        suppress_health_check=[HealthCheck.too_slow],
-    )
-    settings.load_profile("teatbench")
+    if not config.getoption("numprocesses", None):  # else the workers run the tests
+        _set_hypothesis(config)
     # compiled once, not in each of some hundred processes
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
@@ -88,12 +87,38 @@ def pytest_configure(config: pytest.Config) -> None:
             signal.signal(number, default)
 
 
+def _set_hypothesis(config: pytest.Config) -> None:
+    from hypothesis import HealthCheck, settings
+
+    # the same examples in a CI
+    fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
+    # how fast the machine is says nothing of the code
+    settings.register_profile(
+        "teatbench",
+        deadline=None,
+        derandomize=fixed,
+        max_examples=examples(12),
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    settings.load_profile("teatbench")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """The inner loop imports no file whose tests are all slow, and no benchmark: those are skipped."""
+    if config.getoption("markexpr") != INNER_LOOP or collection_path.suffix != ".py":
+        return None
+    slow = SLOW_FILE.search(collection_path.read_text(encoding="utf-8"))
+    return True if slow or collection_path.parent.name == "benchmarks" else None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Files with slow tests first, those of the whole product (docs) before all: the last of them
     would run alone in the end. Tests of many minutes only where TEATBENCH_WEEKLY is set.
     """
+    weekly = [item for item in items if item.get_closest_marker("weekly")]
+    for item in weekly:
+        item.add_marker("slow")
     if not os.environ.get("TEATBENCH_WEEKLY"):
-        weekly = [item for item in items if item.get_closest_marker("weekly")]
         config.hook.pytest_deselected(items=weekly)
         items[:] = [item for item in items if not item.get_closest_marker("weekly")]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
@@ -111,6 +136,12 @@ def pytest_collection_finish() -> None:
     # at their end extension modules look whether anything of theirs is left; pytest walks the rest
     # five times before
     atexit.register(gc.unfreeze)
+
+
+def _end_at_once(worker: int) -> None:
+    """A worker has told all that it knows, and Python would free each object for a second."""
+    if os.getpid() == worker and "coverage" not in sys.modules:  # which writes its figures later
+        os._exit(0)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -212,6 +243,8 @@ def bounded_memory(trimmed_mib: list[float]) -> Iterator[None]:
     if mib > MOST_MIB:
         _forget_what_is_kept()
     if mib > MOST_MIB or mib > max(TRIM_MIB, trimmed_mib[0] + GROWN_MIB):
+        from bench.record.writer import release_memory
+
         gc.collect()
         release_memory()
         trimmed_mib[0] = mib = resident_mib()
@@ -237,12 +270,14 @@ def _caches_of(name: str) -> list[_lru_cache_wrapper[Any]]:
 
 def resident_mib() -> float:
     """Resident memory of this process."""
-    return float(psutil.Process().memory_info().rss) / 2**20
+    return float(THIS_PROCESS.memory_info().rss) / 2**20
 
 
 @pytest.fixture
 def clock() -> Iterator[RealClock]:
     """Closed behind its test."""
+    from instruments.clock import RealClock
+
     with contextlib.closing(RealClock()) as real:
         yield real
 
@@ -258,6 +293,8 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def short_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The six situations once each, with a stability gate of one minute."""
+    from bench.script.model import TRIALS
+
     text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
     for old, new in {"repeats = 3": "repeats = 1", "window_s = 600.0": "window_s = 60.0"}.items():
         assert old in text

@@ -94,6 +94,7 @@ HIDES_A_FILE = "{} hides teatbench's package {!r}: give that file another name"
 HIDES_A_FOLDER = "{} hides teatbench's package {!r}: give that folder another name"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "program", "says"),
     [
@@ -119,6 +120,7 @@ def test_what_hides_a_package_of_the_bench_is_named(
     assert "Traceback" not in said or "own.py" in program
 
 
+@pytest.mark.slow
 def test_a_session_of_a_project_with_a_file_of_that_name_goes_on(tmp_path: Path) -> None:
     """Its file isn't even loaded, which may be a program."""
     (tmp_path / "bench.py").write_text("raise SystemExit('it ran')\n", encoding="utf-8")
@@ -136,6 +138,7 @@ def test_a_session_of_a_project_with_a_file_of_that_name_goes_on(tmp_path: Path)
     assert given["scripts"] == {"teatbench": "_teatbench:main"}
 
 
+@pytest.mark.slow
 def test_files_that_pip_wrote_over_those_of_the_bench_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -412,7 +415,6 @@ print(json.dumps([bench.__file__, score.success, found.verdict, result.rates[0].
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> None:
     page = ROOT / "docs" / "drivers.md"
     project, rig = blocks(page, "toml")
@@ -440,7 +442,6 @@ def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> Non
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_plug_in_with_a_failing_detector_from_an_empty_folder(installed: Installed) -> None:
     """The page's programs and commands in their order; what stands for a lab's own is made first."""

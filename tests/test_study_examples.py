@@ -86,6 +86,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", WRONG)
 def test_a_wrong_argument_ends_an_example_as_a_command(words: str) -> None:
     command = [sys.executable, *words.split()]
@@ -129,7 +130,6 @@ def test_masks_and_key_points_are_those_of_the_pictures(rig: str, tmp_path: Path
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_cows_history_beats_her_last_visit(rig: str, tmp_path: Path) -> None:
     said = example("herd").main(2, 8, tmp_path / "herd.csv", rig=rig)
     rows = [*csv.DictReader((tmp_path / "herd.csv").read_text(encoding="utf-8").splitlines())]
@@ -166,7 +166,6 @@ def test_failing_scenes_are_counted(rig: str, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_the_learned_detector_finds_ends_that_it_was_not_trained_on() -> None:
     learned = example("learned_detector").Learned()
     assert learned.trained_on["ideal"] == ((0, 19),)

@@ -21,7 +21,7 @@ from bench.safety.bath_monitor import RATE_S, seconds_to_stable
 from bench.safety.liveness import Liveness
 from bench.safety.stability import BathState, StabilityGate
 from instruments.bath.access import RowAnswer
-from instruments.bath.driver import Bath as OwnBath
+from instruments.bath.driver import OwnBath
 from instruments.bath.interface import Bath
 from instruments.bath.reading import BathReading
 from instruments.camera.radiometric import PROFILES

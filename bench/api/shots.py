@@ -71,8 +71,14 @@ def member(family: str, number: int) -> Situation:
         return situation(family, number)
 
 
+def _cameras(rig: LoadedRig, seed: int) -> tuple[LoadedRig, Renderer]:
+    """Those of before, where neither the rig file nor its calibration is another now."""
+    _ = rig.calibration  # there is one
+    return _made(rig.path, rig.text, rig.calibration_path.read_bytes(), seed)
+
+
 @lru_cache(maxsize=4)
-def _cameras(path: Path, text: str, seed: int) -> tuple[LoadedRig, Renderer]:  # noqa: ARG001
+def _made(path: Path, text: str, table: bytes, seed: int) -> tuple[LoadedRig, Renderer]:  # noqa: ARG001
     rig = load_rig_file(path)
     return rig, rig_renderer(rig, seed)
 
@@ -90,8 +96,7 @@ def draw(
     and fixed patterns. Raises ConfigError for an unknown name or a thing too near a camera.
     """
     check_within(FROM_0, number=number, seed=seed)
-    found = load_rig(rig)
-    found, renderer = _cameras(found.path, found.text, seed)
+    found, renderer = _cameras(load_rig(rig), seed)
     name = scene if isinstance(scene, str) else getattr(scene, "name", "scene")
     if isinstance(scene, str):
         scene = member(scene, number)
@@ -114,13 +119,12 @@ def labels(shot: Shot, *, rig: AnyRig = "emulated") -> tuple[Labels, Labels, Lab
     if shot.state is None:
         why = "shot was not drawn, so what its pixels show is not known"
         raise ConfigError.plain(why)
-    found = load_rig(rig)
-    return _labeller(found.path, found.text).of(shot.state)
+    return _labeller(_cameras(load_rig(rig), 1)[1]).of(shot.state)
 
 
 @lru_cache(maxsize=1)
-def _labeller(path: Path, text: str) -> Labeller:
-    return Labeller(_cameras(path, text, 1)[1])
+def _labeller(renderer: Renderer) -> Labeller:
+    return Labeller(renderer)
 
 
 def detectors() -> dict[str, str]:

@@ -20,7 +20,7 @@ from bench.rig.loading import AnyRig, LoadedRig, any_rig, find_rig, load_rig
 from bench.rig.model import BathTable, CamerasTable, OneCamera, StageTable, camera_url
 from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
 from bench.rig.urls import ELSEWHERE, bath_url, is_emulated, stage_url
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.profile import PUMP, Profile, load_profile, profile_names
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
@@ -282,7 +282,7 @@ def open_bath(
     identify: bool = True,
     capture: CaptureFile | None = None,
     leave_running: bool = False,
-) -> Iterator[Bath]:
+) -> Iterator[OwnBath]:
     """The bath at ``url``, as in a rig file's [bath], in real time; made safe at the end where it
     was started, unless ``leave_running``. A plug-in says itself what its bath is, and has what
     `instruments.Bath` promises. Raises ConfigError, InstrumentError.
@@ -296,7 +296,7 @@ def open_bath(
         open_instruments(
             rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
         ) as devices,
-        lent(cast(Bath, devices.bath), "bath") as bath,
+        lent(cast(OwnBath, devices.bath), "bath") as bath,
     ):  # no plug-in has the rows of a profile
         yield bath
 

@@ -35,8 +35,8 @@ from typing import Any
 from bench.rig.guardian_stage import PLUGIN, StageStop, StageTarget, retried
 from bench.rig.hand_over import BathLock, write_note
 from bench.rig.watched_bench import WatchedBench
-from instruments.bath.driver import Bath, PumpAt
-from instruments.bath.interface import Bath as AnyBath
+from instruments.bath.driver import OwnBath, PumpAt
+from instruments.bath.interface import Bath
 from instruments.bath.profile import PUMP, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S
 from instruments.clock import RealClock, stopwatch_s, wall_time
@@ -222,7 +222,7 @@ def _handed_over(lock: BathLock, record: GuardianRecord) -> Iterator[None]:
         looks.join()
 
 
-def _bath_of(given: argparse.Namespace, clock: RealClock) -> AnyBath:
+def _bath_of(given: argparse.Namespace, clock: RealClock) -> Bath:
     if given.url.startswith(PLUGIN):  # loads numpy: not for a bath that has a profile
         from instruments.drivers.bath import PluggedBath
         from instruments.drivers.entry_points import load, plugin_url
@@ -230,7 +230,7 @@ def _bath_of(given: argparse.Namespace, clock: RealClock) -> AnyBath:
         if plug := plugin_url(given.url):
             return PluggedBath(load("bath", plug), clock, identify=False)
     pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
-    return Bath(
+    return OwnBath(
         given.url,
         load_profile(given.profile),
         clock,
@@ -263,7 +263,7 @@ def _raise_priority() -> dict[str, Any]:
 
 
 def _make_safe(
-    bath: AnyBath, clock: RealClock, record: GuardianRecord, end_bench: Callable[[], None] | None
+    bath: Bath, clock: RealClock, record: GuardianRecord, end_bench: Callable[[], None] | None
 ) -> bool:
     """Standby, tried for GIVE_UP_S. ``end_bench`` as in `retried`."""
 
@@ -278,7 +278,7 @@ def _make_safe(
     return retried(stand_by, clock, GIVE_UP_S, note, end_bench)
 
 
-def _run_pump_on(bath: AnyBath, clock: RealClock, record: GuardianRecord, overrun_s: float) -> None:
+def _run_pump_on(bath: Bath, clock: RealClock, record: GuardianRecord, overrun_s: float) -> None:
     """Let the pump carry off the heater's heat, then stop it, unless the bath is started again."""
     try:
         bath.set(PUMP, ON)

@@ -61,7 +61,7 @@ class StageStop:
 
     def __init__(self, at: StageTarget, clock: RealClock) -> None:
         from instruments.link import Link
-        from instruments.stage.driver import Stage
+        from instruments.stage.driver import OwnStage
 
         plugged = None
         if at.url.startswith(PLUGIN):
@@ -77,7 +77,7 @@ class StageStop:
                     stage.safe()
                 return
             with closing(Link(at.url, clock, who="stage", baud=at.baud)) as link:
-                Stage(link, clock, at.axes, dialect=at.dialect).safe()  # type: ignore[arg-type]
+                OwnStage(link, clock, at.axes, dialect=at.dialect).safe()  # type: ignore[arg-type]
 
         self._stop = stop
         self._clock = clock

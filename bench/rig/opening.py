@@ -29,8 +29,7 @@ from bench.rig.practice import Practice, following
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import BROWSER, CONSOLE, ELSEWHERE, EMULATED, PEOPLE, SCRIPT
 from detector.calibration import Calibration
-from instruments.bath.driver import Bath as OwnBath
-from instruments.bath.driver import PumpAt
+from instruments.bath.driver import OwnBath, PumpAt
 from instruments.bath.profile import Profile
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
 from instruments.camera.files import FileCamera
@@ -54,7 +53,7 @@ from instruments.operators.mailbox import Mailbox
 from instruments.operators.prompted import PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.points import PointArm, points_url
-from instruments.stage.driver import Stage as OwnStage
+from instruments.stage.driver import OwnStage
 from instruments.world.world import World
 from reports.sanitize import sanitized
 from textfiles.text import plural

@@ -20,7 +20,7 @@ from detector.geometry import Array, triangulate
 from detector.protocol import Detection, Frames, Stage, Teat
 from detector.thesis import lines
 from detector.thesis.optical import RefinedEnd, nominate, refine
-from detector.thesis.parameters import Parameters
+from detector.thesis.parameters import ThesisParameters
 from detector.thesis.thermal import (
     Grey,
     eight_bit,
@@ -47,7 +47,7 @@ class _NoAnswer(Exception):  # noqa: N818 (ends a detection early, caught in `de
 class ThesisDetector:
     """Chapter 4 and appendix A of the thesis, with the published settings by default."""
 
-    settings: Parameters = field(default_factory=Parameters)
+    settings: ThesisParameters = field(default_factory=ThesisParameters)
     name: str = "thesis"  # in the registry
 
     @property
@@ -105,7 +105,7 @@ def _check_size(picture: NDArray[Any], size: tuple[int, int], camera: str) -> No
         raise _NoAnswer(f"the {camera} picture is {given}, the calibration is for {wanted}")
 
 
-def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[Array, int]:
+def _find_in_thermal(picture: Grey, p: ThesisParameters, trace: list[Stage]) -> tuple[Array, int]:
     """Thermal teat ends (n, 2) px, at least one, and how many are hidden (4.1.1 to 4.1.7)."""
 
     def reached(stage: str, **data: Any) -> None:
@@ -145,7 +145,7 @@ def _locate(
     right: Grey,
     thermal_px: Array,
     calibration: Calibration,
-    p: Parameters,
+    p: ThesisParameters,
     trace: list[Stage],
 ) -> tuple[tuple[Teat, ...], str | None]:
     """Thermal teat ends (n, 2) to world teats, and what was left out (4.2, 4.3, 3.2.1.2, 3.3.2)."""
@@ -179,7 +179,7 @@ def _locate(
     return teats, reason if lost else None
 
 
-def _homographies(calibration: Calibration, p: Parameters) -> Homographies:
+def _homographies(calibration: Calibration, p: ThesisParameters) -> Homographies:
     if p.homographies == "calibration":
         return calibration.homographies
     cameras = calibration.thermal, calibration.left, calibration.right
@@ -199,5 +199,5 @@ def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
 
 # the printed homographies are right at 1168 mm, some 6 px off at the teats
 published_homography = partial(
-    ThesisDetector, Parameters(homographies="published"), "thesis-published-homography"
+    ThesisDetector, ThesisParameters(homographies="published"), "thesis-published-homography"
 )

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.geometry import Array
-from detector.thesis.parameters import Parameters
+from detector.thesis.parameters import ThesisParameters
 from detector.thesis.thermal import Mask
 
 Run = tuple[int, int]  # a column, and how many successive points have it
@@ -40,7 +40,7 @@ def half_up(value: float) -> int:
     return int(np.floor(value + 0.5))
 
 
-def vertical_ends(mask: Mask, p: Parameters) -> Array:
+def vertical_ends(mask: Mask, p: ThesisParameters) -> Array:
     """Upper ends (n, 2) px (column, row) of vertical lines in the mask, by column; the highest
     eight.
 
@@ -131,13 +131,13 @@ Integers = NDArray[np.int64]
 _WINDOW_SLIP_PX = 1  # see above
 
 
-def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: Parameters) -> bool:
+def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: ThesisParameters) -> bool:
     """Whether the window at (column, row) lies within a picture (rows, columns)."""
     (x, y), (up, down), (before, after) = centre, p.window_rows, p.window_columns
     return up <= y < shape[0] - down and before <= x < shape[1] - after
 
 
-def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Array:
+def horizontal_middles(mask: Mask, centre: tuple[int, int], p: ThesisParameters) -> Array:
     """Middles (n, 2) px of short horizontal lines in the window at (column, row), by row."""
     top, left = max(centre[1] - p.window_rows[0], 0), max(centre[0] - p.window_columns[0], 0)
     bottom, right = (
@@ -171,7 +171,7 @@ def merge_rows(rows: Integers, columns: Integers, row_reach: int, column_reach: 
     return merged
 
 
-def segment_middles(columns: Integers, p: Parameters) -> list[int]:
+def segment_middles(columns: Integers, p: ThesisParameters) -> list[int]:
     """Middles, shifted by the published 2 px, of stretches with six of a line's points in 12 px."""
     x = np.sort(columns)
     span = p.segment_points - 1
@@ -183,7 +183,7 @@ def segment_middles(columns: Integers, p: Parameters) -> list[int]:
     return middles
 
 
-def teat_ends(middles: Array, p: Parameters) -> tuple[Array, int]:
+def teat_ends(middles: Array, p: ThesisParameters) -> tuple[Array, int]:
     """Teat ends (n, 2) px out of middles (m, 2), by column, and how many of four are hidden.
 
     Within 30 rows of the mean row, from the left, more than 30 columns apart, four at most.

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.geometry import Array, apply_homography
-from detector.thesis.parameters import Parameters
+from detector.thesis.parameters import ThesisParameters
 from detector.thesis.thermal import Grey, Mask
 
 _REGION_SLIP_PX = 1  # see above
@@ -50,7 +50,7 @@ def nominate(homography: Array, teats_px: Array) -> Array:
     return np.asarray(np.floor(apply_homography(homography, teats_px) + 0.5))
 
 
-def refine(picture: Grey, nomination_px: Array, p: Parameters) -> RefinedEnd:
+def refine(picture: Grey, nomination_px: Array, p: ThesisParameters) -> RefinedEnd:
     """Look for the end around a nomination (2,), which stays where there is none."""
     region = cut_region(picture, nomination_px, p.region_reach_px)
     if region is None:  # beyond the picture
@@ -74,7 +74,7 @@ def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:
     return picture[y - reach_px : y + reach_px + 1, x - reach_px : x + reach_px + 1]
 
 
-def grey_dilation(region: Grey, p: Parameters) -> Grey:
+def grey_dilation(region: Grey, p: ThesisParameters) -> Grey:
     """Grey-scale dilation with the 9 x 10 element of figure 4.12 (section 4.3.1)."""
     element = np.ones(p.grey_dilation_size, dtype=np.uint8)
     element[:2, [0, -1]] = 0
@@ -82,13 +82,13 @@ def grey_dilation(region: Grey, p: Parameters) -> Grey:
     return _dilate(region, element)
 
 
-def binary_dilation(bright: Mask, p: Parameters) -> Mask:
+def binary_dilation(bright: Mask, p: ThesisParameters) -> Mask:
     """Binary dilation with a rectangle of 10 rows by 7 columns (section 4.3.3)."""
     element = np.ones(p.binary_dilation_size, dtype=np.uint8)
     return _dilate(bright.astype(np.uint8), element).astype(np.bool_)
 
 
-def locate_end(dark: Mask, p: Parameters) -> Array | None:
+def locate_end(dark: Mask, p: ThesisParameters) -> Array | None:
     """The end (column, row): half its length above the middle of the topmost dark line of 10 px."""
     width = dark.shape[1]
     for row in np.flatnonzero(dark.any(axis=1))[:-1]:

@@ -11,7 +11,7 @@ Domain = tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class ThesisParameters:
     """The published settings; px of their picture, windows (before, after) inclusive."""
 
     # Edges of the thermal picture: appendix A.1 and Matlab's own defaults of the time

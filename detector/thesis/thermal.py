@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.thesis.parameters import Domain, Parameters
+from detector.thesis.parameters import Domain, ThesisParameters
 
 Grey = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -170,7 +170,7 @@ def picture_from_kelvin(thermal_k: NDArray[Any], image_size: tuple[int, int]) ->
     return np.rint(resized).astype(np.uint8)
 
 
-def find_edges(picture: Grey, p: Parameters) -> Edges:
+def find_edges(picture: Grey, p: ThesisParameters) -> Edges:
     """Canny edges without the published column (A.1: BW(:,631)=0), where there is one."""
     kernel, histogram = (p.canny_sigma_px, p.canny_kernel_reach_px), p.canny_histogram_bins
     edges = canny(picture, *kernel, p.canny_not_edges, histogram, p.canny_threshold_ratio)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Generic, TypeVar, cast
 
-from instruments.bath.profile import WATCHDOG, Device, Profile
+from instruments.bath.profile import WATCHDOG, DeviceProfile, Profile
 from instruments.bath.reading import Assembler, BathReading
 from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError, RefusedError, Session
@@ -67,7 +67,7 @@ class Access(ABC, Generic[R]):
     SHOWS_ABSENCE: ClassVar[tuple[type[InstrumentError], ...]]  # of a row that the model lacks
 
     def __init__(
-        self, url: str, profile: Device, wire: Session, *, who: str, allow_inferred: bool
+        self, url: str, profile: DeviceProfile, wire: Session, *, who: str, allow_inferred: bool
     ) -> None:
         self.url = url
         self.profile = profile

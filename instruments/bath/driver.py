@@ -51,7 +51,7 @@ class PumpAt:
     tap: Tap | None = None
 
 
-class Bath:
+class OwnBath:
     """The controller at ``url``, connected and identified; may be shared by threads. Calls raise
     LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
     identifies the controller. ``identify`` False: identified by the first call but ``safe``.

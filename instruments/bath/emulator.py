@@ -15,8 +15,8 @@ from typing import ClassVar, Literal, get_args
 from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, ModbusDevice, RegisterProfile, RelayProfile
-from instruments.bath.protocol import Exchange, Frame, ModbusException, RawRequest, Read, Write
-from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
+from instruments.bath.protocol import Frame, ModbusException, RawRequest, Read, ReadWrite, Write
+from instruments.bath.register_semantics import Behaviour, Cells, Panel, Values, behaviour_of
 from instruments.bath.rows import Row
 from instruments.bath.witness import device_of
 from instruments.clock import Clock
@@ -233,7 +233,7 @@ class Server(Emulator):
             case Write() as request:
                 self._cells.write(request)
                 return protocol.answer_write(request)
-            case Exchange(read, write):
+            case ReadWrite(read, write):
                 self._cells.read(read)  # refused before anything is written
                 self._cells.write(write)
                 return protocol.answer_read(read, self._read(read))
@@ -266,7 +266,7 @@ class BathEmulator(Server):
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
     settings: ClassVar[Mapping[str, str]] = SETTING_FAULTS
     profile: RegisterProfile
-    panel: Controller
+    panel: Panel
 
     def __init__(
         self,
@@ -278,7 +278,7 @@ class BathEmulator(Server):
         framing: Framing | None = None,
     ) -> None:
         behaviour, device = behaviour_of(profile), device_of(profile)
-        panel = Controller(plant, device, behaviour, unit_id or profile.unit_id)
+        panel = Panel(plant, device, behaviour, unit_id or profile.unit_id)
         super().__init__(plant, device, clock, behaviour, panel, unit_id, framing)
         self.profile = profile
         plant.fit(circulator=profile.capabilities.pump == "with run")

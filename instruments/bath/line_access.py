@@ -33,7 +33,7 @@ LONGEST = 200  # characters of a reply
 
 
 @dataclass(slots=True)
-class Question:
+class SentCommand:
     """One command that was sent, until its reply has come."""
 
     command: str
@@ -59,7 +59,7 @@ class Lines(Session):
 
     def begin(self) -> None:
         self._buffer = b""
-        self._open: Question | None = None  # a reply to it is awaited
+        self._open: SentCommand | None = None  # a reply to it is awaited
         self._damaged = ""  # a line since then whose check sum is wrong
         self.in_step = False
 
@@ -114,7 +114,7 @@ class Lines(Session):
         self._open, self.in_step = None, False
         super().close()
 
-    def _put(self, command: str, *, answered: bool) -> Question:
+    def _put(self, command: str, *, answered: bool) -> SentCommand:
         # an event of virtual time may ask in the midst of another question: that one comes first
         if self._open is not None:
             self._wait(self._open)
@@ -123,7 +123,7 @@ class Lines(Session):
         if self.drop_unasked(link):
             self.in_step = False
         self._buffer, self._damaged = b"", ""
-        question = Question(command, self.clock.now())
+        question = SentCommand(command, self.clock.now())
         self._open = question if answered else None
         line = summed(command, self._profile.checksum, self._profile.checksum_skip)
         try:
@@ -132,7 +132,7 @@ class Lines(Session):
             raise self.broken("the link broke", command) from error
         return question
 
-    def _wait(self, question: Question) -> None:
+    def _wait(self, question: SentCommand) -> None:
         if question.reply is None:
             characters = len(question.command) + LONGEST // 4
             until_s = question.sent_s + self._profile.timeout_s + characters * self.line.character_s

@@ -51,11 +51,11 @@ REACHED_BY = {  # a transport, as a URL
     "serial": "a serial port, or rfc2217://host:port",
 }
 
-Made = TypeVar("Made", bound="Device")
+Made = TypeVar("Made", bound="DeviceProfile")
 Faults = Iterator[tuple[Keys, str]]
 
 
-class Device(Strict):
+class DeviceProfile(Strict):
     """A device of some make: how it is spoken to, and its rows. ``timeout_s``: the wait for an
     answer; ``quiet_s``: how much later one may still come.
     """
@@ -106,7 +106,7 @@ class Device(Strict):
         return row
 
 
-class ModbusDevice(Device):
+class ModbusDevice(DeviceProfile):
     """A Modbus device with its ``functions``; with ``alike``, 3 and 4 read the same registers. From
     address ``pairs_from`` on, registers are read and written in pairs.
     """
@@ -223,7 +223,7 @@ class AlarmCode(Strict):
     evidence: Evidence
 
 
-class Identity(Strict):
+class IdentityCheck(Strict):
     """What ``row`` shows: ``equals`` after ``mask``, or not ``differs``, or else a known code."""
 
     row: str
@@ -241,7 +241,7 @@ class Identity(Strict):
         return row.is_known(value)
 
 
-class Profile(Device):
+class Profile(DeviceProfile):
     """A family of controllers. ``panel_rows`` may be changed at its panel; ``number_unit``: where
     the unit of its numbers stands; ``remote_label``: the value of the row ``remote`` under our
     control. ``watchdog_s``: what its row ``watchdog`` is set to while we heat.
@@ -254,7 +254,7 @@ class Profile(Device):
     plausible_c: tuple[float, float] = (-5.0, 60.0)
     number_unit: NumberUnit = NumberUnit()
     capabilities: Capabilities = Capabilities()
-    identity: tuple[Identity, ...] = ()
+    identity: tuple[IdentityCheck, ...] = ()
     # row -> label to be seen before heating, written where it is another
     before_start: dict[str, str] = Field(default_factory=dict)
     alarms: tuple[AlarmCode, ...] = ()
@@ -471,7 +471,7 @@ class LineProfile(Profile):
             yield from (f"{row.name}: {fault}" for fault in row.faults())
 
 
-def line_to(url: str, profile: Device, who: str) -> Line:
+def line_to(url: str, profile: DeviceProfile, who: str) -> Line:
     """The line that ``url`` names, else the profile's. Raises LinkError for another kind."""
     lines = profile if isinstance(profile, LineProfile) else None
     port = lines.port if lines else MODBUS_PORT
@@ -496,16 +496,20 @@ def line_to(url: str, profile: Device, who: str) -> Line:
 
 def load_profile(name_or_path: str | Path) -> Profile:
     """A shipped profile by its name, or any by its path (``*.toml``). Raises DeviceFileError."""
+    return _load(name_or_path, SHIPPED, "shipped profiles", _profile_of)
 
-    def kind(content: Mapping[str, Any]) -> type[Profile]:
-        return LineProfile if "kind" in content else RegisterProfile
 
-    return _load(name_or_path, SHIPPED, "shipped profiles", kind)
+def _profile_of(content: Mapping[str, Any]) -> type[Profile]:
+    return LineProfile if "kind" in content else RegisterProfile
+
+
+def _relay_of(_: object) -> type[RelayProfile]:
+    return RelayProfile
 
 
 def load_relay(name_or_path: str | Path) -> RelayProfile:
     """As `load_profile`, for the relay of a pump."""
-    return _load(name_or_path, RELAYS, "shipped profiles of relays", lambda _: RelayProfile)
+    return _load(name_or_path, RELAYS, "shipped profiles of relays", _relay_of)
 
 
 def _load(

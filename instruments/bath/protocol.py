@@ -74,7 +74,7 @@ class Write:
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
+class ReadWrite:
     """Function 23: ``write`` first, then ``read``, in one go."""
 
     read: Read
@@ -89,7 +89,7 @@ class RawRequest:
     body: bytes
 
 
-Request = Read | Write | Exchange | RawRequest
+Request = Read | Write | ReadWrite | RawRequest
 
 
 class ModbusException(Exception):  # noqa: N818 - it is an answer, not a fault
@@ -132,7 +132,7 @@ def parse(pdu: bytes) -> Request:
     _demand(1 <= value <= MOST_READ)
     target, count = written
     write = Write(function, target, _registers(data, count, MOST_EXCHANGED))
-    return Exchange(Read(function, address, value), write)
+    return ReadWrite(Read(function, address, value), write)
 
 
 def answer_read(request: Read, values: Sequence[int]) -> bytes:

@@ -168,7 +168,7 @@ class Values:
         self.memory.clear()
 
 
-class Controller(Values):
+class Panel(Values):
     """A controller of ``profile``'s family over ``plant``. Settings of its panel: ``fahrenheit``,
     ``turned`` (words the other way round), ``manual_mode`` (writes are confirmed and ignored),
     ``external_control`` (by the external sensor).
@@ -286,15 +286,15 @@ class Controller(Values):
             plant.set_flow(plant.constants.flow_l_per_min)
 
 
-def _run(on: Controller) -> float:
+def _run(on: Panel) -> float:
     if not on.plant.running:
         return on.code("run", "standby")
     manual = "manual" in on.profile.row("run").seen and on.plant.manual_output is not None
     return on.code("run", "manual" if manual else "started")
 
 
-def _mode(name: str, automatic: str) -> Callable[[Controller], float]:
-    def look(on: Controller) -> float:
+def _mode(name: str, automatic: str) -> Callable[[Panel], float]:
+    def look(on: Panel) -> float:
         if on.stored(name) != on.code(name, automatic):
             return on.stored(name)
         return on.code(name, "manual" if on.plant.manual_output is not None else automatic)
@@ -302,7 +302,7 @@ def _mode(name: str, automatic: str) -> Callable[[Controller], float]:
     return look
 
 
-def _status(on: Controller) -> float:
+def _status(on: Panel) -> float:
     states = {
         "alarm 1": on.alarm1() == "high",
         "manual": on.manual_mode,
@@ -312,23 +312,23 @@ def _status(on: Controller) -> float:
     return float(sum(on.behaviour.bits.get(name, 0) for name, true in states.items() if true))
 
 
-def _encoding(on: Controller) -> float:
+def _encoding(on: Panel) -> float:
     codes = on.profile.order_from.codes if on.profile.order_from else {}
     return next((float(code) for code, order in codes.items() if order == on.order), 0.0)
 
 
-def _set_point(on: Controller) -> float:
+def _set_point(on: Panel) -> float:
     local = on.memory.get("set_point", on.plant.set_point_c)
     return local if on.stored("local_remote") else on.plant.set_point_c
 
 
-def _set_point_1(on: Controller) -> float:
+def _set_point_1(on: Panel) -> float:
     """Eurotherm: the target set point is this one while it is selected."""
     chosen = on.stored("set_point_select") == on.code("set_point_select", "sp1")
     return _set_point(on) if chosen else on.stored("set_point_1")
 
 
-SOURCES: Mapping[str, Callable[[Controller], float]] = {
+SOURCES: Mapping[str, Callable[[Panel], float]] = {
     "run": _run,
     "run_active": _run,
     "auto_manual": _mode("auto_manual", "auto"),
@@ -375,7 +375,7 @@ SOURCES: Mapping[str, Callable[[Controller], float]] = {
 }
 
 
-def _start_or_stop(on: Controller, value: float) -> None:
+def _start_or_stop(on: Panel, value: float) -> None:
     if value == on.code("run", "started"):
         if "manual" in on.profile.row("run").seen:
             on.plant.manual_output = None
@@ -384,30 +384,30 @@ def _start_or_stop(on: Controller, value: float) -> None:
         on.plant.standby()
 
 
-def _automatic(on: Controller, value: float) -> None:  # noqa: ARG001 - the whitelist has no other code than automatic
+def _automatic(on: Panel, value: float) -> None:  # noqa: ARG001 - the whitelist has no other code than automatic
     on.plant.manual_output = None
 
 
-def _actuating(on: Controller, value: float) -> None:
+def _actuating(on: Panel, value: float) -> None:
     """JULABO: "digital" heats with a set power; EPROG, without a program, not at all."""
     digital = value == on.code("actuating", "digital")
     power = on.memory.get("heating_power", 0.0) / 100.0 if digital else 0.0
     on.plant.manual_output = None if value == on.code("actuating", "controller") else power
 
 
-def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - which of three rows has changed does not matter
+def _aim(on: Panel, value: float) -> None:  # noqa: ARG001 - which of three rows has changed does not matter
     """The set point is the local one or, on a controller that is set so, the remote one."""
     name = "remote_set_point" if on.stored("local_remote") == 1 else "set_point"
     on.plant.set_point_c = on.memory.get(name, on.plant.set_point_c)
 
 
-def _take_set_point_1(on: Controller, value: float) -> None:
+def _take_set_point_1(on: Panel, value: float) -> None:
     if on.stored("set_point_select") == on.code("set_point_select", "sp1"):
         on.memory["set_point"] = value
         _aim(on, value)
 
 
-EFFECTS: Mapping[str, Callable[[Controller, float], None]] = {
+EFFECTS: Mapping[str, Callable[[Panel, float], None]] = {
     "run": _start_or_stop,
     "auto_manual": _automatic,
     "control": _automatic,

@@ -64,7 +64,7 @@ def _row(name: str, **more: Any) -> Quantity:
 
 
 class PluggedBath(Plugged):
-    """As `instruments.bath.driver.Bath`. A link that is lost is opened anew by the next call."""
+    """As `instruments.bath.driver.OwnBath`. A link that is lost is opened anew by the next call."""
 
     safe_state = "in standby, as it reads back itself"
     doubt, unit_source = "", "degC, by its driver"

@@ -17,7 +17,7 @@ from instruments.camera.frame import FrameSet
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import ArmView, Reading
 from instruments.operators.operator import Operator
-from instruments.stage.calls import StageCalls as Stage
+from instruments.stage.calls import Stage
 
 Floats = NDArray[np.float64]
 __all__ = ["Arm", "Bath", "Cameras", "Stage"]

@@ -16,7 +16,7 @@ from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin, one_line
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
-from instruments.stage.calls import StageCalls
+from instruments.stage.calls import Stage
 from instruments.stage.protocol import AXES, Status
 from instruments.stage.settings import (
     DECLARABLE,
@@ -37,8 +37,8 @@ class _Move(NamedTuple):
     jog: bool
 
 
-class PluggedStage(Plugged, StageCalls):
-    """As `instruments.stage.driver.Stage`."""
+class PluggedStage(Plugged, Stage):
+    """As `instruments.stage.driver.OwnStage`."""
 
     safe_state = "at a stand, as it reads back itself"
 

@@ -92,7 +92,7 @@ class Maxima:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Joints:
     """Denavit-Hartenberg parameters of six joints as signed 16-bit numbers: angles in 1/32768 of
     half a turn, lengths in 0.001 inch.
     """
@@ -110,7 +110,7 @@ class DeviceInfo:
 
     names: Identity
     maxima: Maxima
-    parameters: Parameters
+    parameters: Joints
     beta: int
 
     @lru_cache(maxsize=8)  # noqa: B019 - a few arms; what is kept of a shape is kept by its object
@@ -206,10 +206,10 @@ def decode_maxima(reply: bytes) -> Maxima:
     return Maxima(v[0], v[1], v[2:10], v[10], v[11:])
 
 
-def decode_parameters(reply: bytes) -> Parameters:
+def decode_parameters(reply: bytes) -> Joints:
     """The parameters in a reply. Raises WireError as `decode`."""
     v = decode(Code.PARAMETERS, reply)
-    return Parameters(v[:6], v[6:12], v[12:])
+    return Joints(v[:6], v[6:12], v[12:])
 
 
 def decode_stream(data: bytes) -> StreamRequest:

@@ -11,7 +11,7 @@ from pydantic import BaseModel, model_validator
 
 from instruments.device_file import read_device
 from instruments.microscribe import configuration as conf
-from instruments.microscribe.configuration import Counts, DeviceInfo, Identity, Maxima, Parameters
+from instruments.microscribe.configuration import Counts, DeviceInfo, Identity, Joints, Maxima
 from instruments.microscribe.protocol import Code
 
 SHIPPED = Path(__file__).with_name("units")
@@ -36,7 +36,11 @@ class ArmIdentity(DeviceInfo):
 
 def load_unit(path: Path) -> ArmIdentity:
     """The arm in the file at ``path``. Raises DeviceFileError with all its faults, or OSError."""
-    return read_device(path, lambda _: _File).arm()
+    return read_device(path, _file_of).arm()
+
+
+def _file_of(_: object) -> type[_File]:
+    return _File
 
 
 @cache
@@ -51,7 +55,7 @@ def shipped_unit(serial_number: str) -> ArmIdentity:
 
 
 @dataclass(frozen=True, slots=True)
-class _Parameters(Parameters):
+class _Parameters(Joints):
     beta: conf.Word = 0
 
 
@@ -67,7 +71,7 @@ class _File(BaseModel, extra="forbid"):
 
     def arm(self) -> ArmIdentity:
         p = self.parameters
-        parameters = Parameters(p.alpha, p.a, p.d)
+        parameters = Joints(p.alpha, p.a, p.d)
         return ArmIdentity(self.names, self.maxima, parameters, p.beta, self.peg.counts)
 
     @model_validator(mode="after")

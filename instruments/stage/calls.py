@@ -15,7 +15,7 @@ from instruments.stage.protocol import AXES, Status
 from instruments.stage.settings import AxisLimits, StageIdentity, StageSettings, Target, declared
 
 
-class StageCalls(ABC):
+class Stage(ABC):
     """The stage of ``axes`` at ``url``, in machine coordinates: mm by axis letter, degrees for A.
     ``before_moving`` is called before anything is sent that moves it; what it raises keeps that
     from being sent. ``moves``: by a call of ours, and it was not read back at rest since. Any

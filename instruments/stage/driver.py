@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.calls import StageCalls
+from instruments.stage.calls import Stage
 from instruments.stage.connection import ANSWER_S, Dialogue
 from instruments.stage.marlin import MarlinDialogue
 from instruments.stage.protocol import HOME_AGAIN, Position, Status, axis_words
@@ -49,7 +49,7 @@ class Move(NamedTuple):
     jog: bool
 
 
-class Stage(StageCalls):
+class OwnStage(Stage):
     """The stage of ``axes`` "XY", "XYZ", "XYA" or "XYZA" at ``link``, for one thread. Every call
     may raise LinkError, ProtocolError, DeviceError and LimitError (refused before sending).
     """

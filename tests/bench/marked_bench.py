@@ -41,7 +41,7 @@ from bench.truth.touching import Toucher
 from instruments.camera.cameras import CameraSet
 from instruments.microscribe.driver import MicroScribe
 from instruments.operators.operator import CheckPoint, Touch
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from tests.bench.forked import as_in_a_shell, context, take
 from tests.bench.real_rig import RealRig
 from tests.waiting import PATIENCE_S, within
@@ -107,7 +107,7 @@ def hanging() -> None:
         say("hanging")
         threading.Event().wait()
 
-    put(Stage, "move_to", hangs)
+    put(OwnStage, "move_to", hangs)
 
 
 def mistaken() -> None:
@@ -157,9 +157,9 @@ class ClosingWindow:
 
 
 MARKS: dict[str, Callable[[], None]] = {
-    "homing": lambda: begins(Stage, "home", "homing"),
+    "homing": lambda: begins(OwnStage, "home", "homing"),
     "settling": lambda: begins(TrialRun, "_settle", "settling"),
-    "moving": lambda: begins(Stage, "move_to", "moving"),
+    "moving": lambda: begins(OwnStage, "move_to", "moving"),
     "capturing": lambda: begins(RecordingCameras, "capture", "capturing", LINGER_S),
     "capturing long": lambda: begins(RecordingCameras, "capture", "capturing long", LONG_S),
     "detecting": lambda: begins(Examiner, "ask", "detecting", LINGER_S),

@@ -31,6 +31,7 @@ def test_an_opencv_that_another_package_wrote_is_named(
     assert f"Python's cv2 is {says}: uninstall what wrote over it" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_serial_that_is_not_pyserial_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

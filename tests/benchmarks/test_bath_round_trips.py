@@ -25,7 +25,7 @@ from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.framer import FramerType
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import RegisterProfile
 from instruments.bath.requests import Block, blocks
@@ -100,7 +100,7 @@ def served(kind: str, family: str) -> Iterator[Served]:
 def ours(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[float]]:
     """Seconds that each of ``count`` questions takes after a pause, and each of as many polls."""
     clock = RealClock()
-    driver = Bath(bath.url, bath.profile, clock)
+    driver = OwnBath(bath.url, bath.profile, clock)
     questions, polls = [], []
     for _ in range(count):
         time.sleep(pause_s)

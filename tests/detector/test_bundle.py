@@ -59,7 +59,6 @@ POINTS = np.array([[-190.0, 235.0, 135.0], [-110.0, 284.0, 134.0], [-300.0, 180.
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_rigs_are_found_within_the_stated_covariance() -> None:
     distances = []
     for found in map(joined, range(8)):
@@ -98,7 +97,6 @@ def drawn(pair: Calibration, draw: Array) -> Pair:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_uncertainty_agrees_with_monte_carlo_within_ten_percent() -> None:
     rig, rng = calibrated(1), np.random.default_rng(1)
     assert rig.covariance
@@ -223,6 +221,7 @@ def opencv_camera(shared_data: Path, camera: str, sub_pixel: SubPixel) -> Camera
     return calibrate_camera(camera, views, (640, 480), model=OPENCV_MODEL, square_pixels=True)
 
 
+@pytest.mark.slow
 def test_opencvs_pictures(shared_data: Path) -> None:
     wide = opencv_camera(shared_data, "left", SubPixel(11, 30, 0.1))
     narrow = opencv_camera(shared_data, "left", SubPixel(5, 30, 0.1))
@@ -253,7 +252,6 @@ def test_opencvs_pictures_as_a_pair(shared_data: Path) -> None:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_the_window_that_is_chosen_does_no_worse_than_the_best_fixed_one(shared_data: Path) -> None:
     for camera in ("left", "right"):
         chosen, small, large = (

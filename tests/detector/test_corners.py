@@ -105,6 +105,7 @@ def test_a_boards_first_corner_is_told_by_its_rim(inverted: bool, around: int) -
     assert np.abs(missed_px(find_board(image, CHESS), CHESS)).max() < 0.3
 
 
+@pytest.mark.slow
 def test_a_corner_that_the_finder_leaves_on_an_edge_is_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

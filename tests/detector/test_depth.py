@@ -72,7 +72,6 @@ def matched(found: Detection, ends_mm: Array) -> tuple[Array, Array]:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_ends_of_drawn_scenes_and_the_covariances_that_are_stated() -> None:
     pairs = [seen(family, 300) for family in FAMILIES]
     both = [matched(*pair) for pair in pairs]

@@ -51,6 +51,7 @@ def bowl(points: Array) -> Array:
     return np.asarray(points + np.outer(2.0 * (radius / radius.max()) ** 2, [0.0, 0.0, 1.0]))
 
 
+@pytest.mark.slow
 def test_a_sound_calibration_is_not_accused(pair: Pair) -> None:
     views = seen(thesis_rig(), 30)
     assert found(pair, views) == []

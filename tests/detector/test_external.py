@@ -192,6 +192,7 @@ def test_it_is_given_up_in_the_end_with_a_sentence(start: Start, rig: Calibratio
         assert str(off) == f"{given_up} after {why}; the last: it ended with exit code 1"
 
 
+@pytest.mark.slow
 def test_starts_are_bounded_also_with_answers_between(start: Start, rig: Calibration) -> None:
     detector = start(answering(f"{NO_TEATS}\nsys.exit(0)"), restarts=1)
     ask(detector, rig)
@@ -208,6 +209,7 @@ def test_wrong_values_cost_the_answer_but_not_the_process(start: Start, rig: Cal
     assert detector.start_up_s is None, "it was not started again"
 
 
+@pytest.mark.slow
 def test_standard_error_is_kept_within_bounds(start: Start, rig: Calibration) -> None:
     writes = 'print("seen", asked["frame"], file=sys.stderr, flush=True)'
     fails = 'if asked["frame"] == "2": raise ValueError("no teat")'
@@ -278,6 +280,7 @@ def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.M
     assert there.said().splitlines() == ["debug: here", "debug: here"]
 
 
+@pytest.mark.slow
 def test_serving_without_a_detector_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     assert "needs the name of one detector" in capsys.readouterr().err

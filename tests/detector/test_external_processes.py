@@ -16,13 +16,14 @@ from tests.conftest import ROOT
 from tests.detector.children import GOOD, HEAD, NO_TEATS, Start, answering, ask, failure, start
 from tests.waiting import alive, within
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["start"]
 linux = pytest.mark.skipif(
     sys.platform != "linux", reason="only Linux tells a process's memory and all its descendants"
 )
 
 
-@pytest.mark.slow
 @linux
 def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibration) -> None:
     hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
@@ -51,7 +52,6 @@ with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
 """
 
 
-@pytest.mark.slow
 @linux
 @pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
 def test_a_grandchild_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
@@ -84,7 +84,6 @@ os.kill(os.getppid(), signal.SIGKILL)
 """
 
 
-@pytest.mark.slow
 @linux
 @pytest.mark.parametrize("goes_on", [True, False], ids=["answers on", "falls silent"])
 def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
@@ -118,7 +117,6 @@ say({"frame": asked["frame"], "teats": [], "reason": said})"""
     assert ask(start(above, memory_mib=100.0), rig).reason == "refused"
 
 
-@pytest.mark.slow
 @linux
 def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
     ready = GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)'
@@ -150,7 +148,6 @@ def test_it_may_put_its_things_in_order(start: Start, rig: Calibration, tmp_path
     assert (tmp_path / "tidy").read_text(encoding="ascii") == "yes"
 
 
-@pytest.mark.slow
 def test_one_that_does_not_go_is_made_to(start: Start, rig: Calibration) -> None:
     detector = start(GOOD + "\ntime.sleep(600)")
     ask(detector, rig)

@@ -62,7 +62,6 @@ def later(seeds: range) -> Iterator[Seen]:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_own_visits_and_hours_tell_more_than_the_last_visit_and_regions_hold() -> None:
     errors, last, inside = [], [], []
     for seen in later(range(16)):

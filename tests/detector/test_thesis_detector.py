@@ -15,7 +15,7 @@ from detector.calibration import Calibration
 from detector.geometry import Motion
 from detector.protocol import Detection, Detector
 from detector.thesis.detector import ThesisDetector
-from detector.thesis.parameters import Parameters
+from detector.thesis.parameters import ThesisParameters
 from detector.thesis.thermal import unmirror
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def test_it_is_a_detector() -> None:
     detector: Detector = ThesisDetector()
     assert detector.name == "thesis"
     assert detector.parameters["canny_sigma_px"] == 12.0
-    assert ThesisDetector(Parameters(binary_level=0.5)).parameters != detector.parameters
+    assert ThesisDetector(ThesisParameters(binary_level=0.5)).parameters != detector.parameters
 
 
 def test_four_plain_teats_are_found(plain: Detection, teats_mm: Array) -> None:
@@ -116,7 +116,7 @@ def test_a_radiometric_frame_alone_will_do(frames: Any, plain: Detection, rig: C
 
 
 def test_a_window_outside_may_be_refused(frames: Any, rig: Calibration) -> None:
-    strict = ThesisDetector(Parameters(window_outside="refuse")).detect(frames, rig)
+    strict = ThesisDetector(ThesisParameters(window_outside="refuse")).detect(frames, rig)
     assert strict.teats == ()
     assert "leaves the thermal picture" in str(strict.reason)
 

@@ -20,11 +20,11 @@ from detector.thesis.lines import (
     window_centre,
     window_fits,
 )
-from detector.thesis.parameters import Domain, Parameters
+from detector.thesis.parameters import Domain, ThesisParameters
 from detector.thesis.thermal import order_filter
 from tests.detector.thesis_tables import SECTION_4_1_7, TABLE_4_1, TABLE_4_2
 
-P = Parameters()
+P = ThesisParameters()
 columns_of_points = st.lists(st.integers(0, 60), max_size=60)
 
 

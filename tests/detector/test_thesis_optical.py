@@ -16,9 +16,9 @@ from detector.thesis.optical import (
     nominate,
     refine,
 )
-from detector.thesis.parameters import Parameters
+from detector.thesis.parameters import ThesisParameters
 
-P = Parameters()
+P = ThesisParameters()
 FIGURE_4_12 = np.array(
     [[int(c) for c in row] for row in ("0011111100", "0111111110", *["1111111111"] * 7)]
 )
@@ -38,6 +38,7 @@ def matlab_dilation(image: NDArray[np.uint8], element: NDArray[np.int_]) -> NDAr
     return result
 
 
+@pytest.mark.slow
 def test_dilations_are_matlabs() -> None:
     image = np.random.default_rng(6).integers(0, 256, (24, 22)).astype(np.uint8)
     assert np.array_equal(grey_dilation(image, P), matlab_dilation(image, FIGURE_4_12))

@@ -24,7 +24,7 @@ from bench.testing.conformance import (
     lost_link_is_an_error_and_comes_back,
     safe_over_a_link_lost_is_safe,
 )
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.emulator import BathEmulator
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import EmulatedCameras
@@ -36,9 +36,9 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.protocol import State
-from instruments.stage.driver import Spoken, Stage
+from instruments.stage.driver import OwnStage, Spoken
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import CLASSIC, MARLIN, Dialect
+from instruments.stage.emulator.store import CLASSIC, MARLIN, Firmware
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import load_register_profile
 from tests.instruments.camera.small_world import GalleryWorld
@@ -86,7 +86,7 @@ class WaterBath(Wired):
         super().__init__(clock, BathEmulator(self.plant, self.profile, clock), "bath", late_s=1.0)
 
     def open(self) -> None:
-        self.driver = Bath(f"tcp://127.0.0.1:{self.listener.port}", self.profile, self.clock)
+        self.driver = OwnBath(f"tcp://127.0.0.1:{self.listener.port}", self.profile, self.clock)
 
     def identify(self) -> str:
         return str(self.driver.identity)
@@ -111,7 +111,7 @@ class WaterBath(Wired):
 
 
 class Table(Wired):
-    firmware: ClassVar[Dialect] = CLASSIC
+    firmware: ClassVar[Firmware] = CLASSIC
     spoken: ClassVar[Spoken] = "grbl"
     place_mm: ClassVar[float] = -200.0
 
@@ -121,7 +121,7 @@ class Table(Wired):
         super().__init__(clock, self.emulator, "stage", late_s=0.2)
 
     def open(self) -> None:
-        self.driver = Stage(self.link("stage"), self.clock, "XYZ", dialect=self.spoken)
+        self.driver = OwnStage(self.link("stage"), self.clock, "XYZ", dialect=self.spoken)
 
     def identify(self) -> str:
         return str(self.driver.connect())
@@ -255,17 +255,17 @@ def connects_once(bath: Any) -> None:
         connect(bath)
 
 
-connect = Bath._connect
+connect = OwnBath._connect
 # what our drivers do on a link that was lost, or as they close, left out
 LEFT_OUT: list[tuple[str, type, str, Callable[..., None], Check]] = [
     ("arm", Link, "reopen", nothing, lost_link_is_an_error_and_comes_back),
     ("stage", Link, "reopen", nothing, lost_link_is_an_error_and_comes_back),
-    ("bath", Bath, "_connect", connects_once, lost_link_is_an_error_and_comes_back),
-    ("bath", Bath, "safe", lambda bath: bath._rows.stand_by(), safe_over_a_link_lost_is_safe),
-    ("stage", Stage, "stop", nothing, safe_over_a_link_lost_is_safe),
+    ("bath", OwnBath, "_connect", connects_once, lost_link_is_an_error_and_comes_back),
+    ("bath", OwnBath, "safe", lambda bath: bath._rows.stand_by(), safe_over_a_link_lost_is_safe),
+    ("stage", OwnStage, "stop", nothing, safe_over_a_link_lost_is_safe),
     ("arm", MicroScribe, "close", nothing, closes_twice_and_opens_again),
-    ("stage", Stage, "close", nothing, closes_twice_and_opens_again),
-    ("bath", Bath, "close", nothing, closes_twice_and_opens_again),
+    ("stage", OwnStage, "close", nothing, closes_twice_and_opens_again),
+    ("bath", OwnBath, "close", nothing, closes_twice_and_opens_again),
     ("cameras", CameraSet, "reopen", nothing, lost_link_is_an_error_and_comes_back),
 ]
 

@@ -344,7 +344,6 @@ def test_what_a_device_does_not_say_is_no_none(tmp_path: Path) -> None:
     assert not [one for lines in found.values() for one in lines if one.endswith(("None", ": "))]
 
 
-@pytest.mark.slow
 def test_emulators_of_others_are_served_and_a_written_rig_opens_them_by_their_drivers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

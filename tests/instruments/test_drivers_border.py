@@ -290,6 +290,7 @@ print(bath.read().temp_c, flush=True)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 @pytest.mark.parametrize("raises", [False, True])
 def test_a_copy_of_the_process_that_a_driver_forks_does_not_come_back(raises: bool) -> None:
@@ -327,6 +328,7 @@ def test_a_key_that_is_no_number_is_said_as_a_key() -> None:
         PluggedGroup(plugged, VirtualClock())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MAKES)
 def test_nothing_but_an_error_of_an_instrument_comes_out(kind: str) -> None:
     clock = VirtualClock()

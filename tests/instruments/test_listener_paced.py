@@ -15,7 +15,7 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.listener import Listener
-from instruments.pacing import Line
+from instruments.pacing import PacedDirection
 from tests.instruments.listening_in import Echo, linked
 
 Paced = Callable[..., tuple[Link, Echo]]
@@ -41,14 +41,14 @@ def paced() -> Iterator[Paced]:
 
 @contextmanager
 def lasts(least_s: float) -> Iterator[None]:
-    """No faster than that: how much slower is the machine's load (`Line` holds the pace)."""
+    """No faster than that: how much slower is the machine's load (`PacedDirection` holds the pace)."""
     start = time.monotonic()
     yield
     assert time.monotonic() - start >= least_s - 0.001
 
 
 def test_a_thousand_late_wakes_do_not_add_up() -> None:
-    line = Line(0.001)
+    line = PacedDirection(0.001)
     for k in range(1000):
         # every other byte is put on the line late
         line.carry(1, from_s=0.001 * k + 0.0004 * (k % 2))

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.emulator import BathEmulator
 from instruments.captures.capture import Capture, CaptureFile, read_capture
 from instruments.captures.replay import Replay
@@ -25,7 +25,7 @@ from instruments.microscribe.driver import ANSWER_S, MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.kinematics import Floats
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.board import StageEmulator
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import load_register_profile
@@ -62,7 +62,7 @@ def arm_session(url: str, clock: Clock, tap: Tap | None) -> Found:
 
 
 def stage_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    with closing(Stage(Link(url, clock, who="stage", tap=tap), clock)) as stage:
+    with closing(OwnStage(Link(url, clock, who="stage", tap=tap), clock)) as stage:
         found: Found = [asdict(stage.connect()), asdict(stage.settings)]
         stage.home()
         for place in ((-20.0, -30.0), (-21.0, -30.5), (-5.0, -80.0)):
@@ -73,7 +73,7 @@ def stage_session(url: str, clock: Clock, tap: Tap | None) -> Found:
 
 
 def bath_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    with closing(Bath(url, load_register_profile("julabo-presto"), clock, tap=tap)) as bath:
+    with closing(OwnBath(url, load_register_profile("julabo-presto"), clock, tap=tap)) as bath:
         found: Found = [{key: value for key, value in bath.identity.items() if key != "url"}]
         bath.start(33.0)
         for _ in range(60):
@@ -170,7 +170,7 @@ def test_a_session_in_real_time_is_replayed_in_real_time(name: str, tmp_path: Pa
     def short(url: str, clock: Clock, tap: Tap | None) -> Found:
         if name == "arm":
             return arm_session(url, clock, tap)
-        with closing(Bath(url, load_register_profile("julabo-presto"), clock, tap=tap)) as bath:
+        with closing(OwnBath(url, load_register_profile("julabo-presto"), clock, tap=tap)) as bath:
             return [bath.read().temp_c for _ in range(20)]
 
     for number in range(5):

@@ -133,6 +133,7 @@ def test_any_amount_of_data_makes_a_sound_drawing_that_turns_for_the_dark(
             assert f"{key}-{role}" in tag
 
 
+@pytest.mark.slow
 def test_a_user_s_matplotlib_settings_change_nothing_and_are_kept() -> None:
     before = DRAWINGS["latency"](9)
     with matplotlib.rc_context({"lines.linewidth": 9, "font.size": 30, "svg.fonttype": "path"}):
@@ -170,6 +171,7 @@ def test_a_plane_has_no_view_from_the_front() -> None:
     assert ">z (mm)<" not in error_maps([flat], 5.0)
 
 
+@pytest.mark.slow
 def test_panels_of_teats_far_apart_have_one_scale() -> None:
     """Two ends 20 mm apart are as far apart in either panel, wherever they lie."""
     teats = [
@@ -182,6 +184,7 @@ def test_panels_of_teats_far_apart_have_one_scale() -> None:
     assert xs[1] - xs[0] > 20
 
 
+@pytest.mark.slow
 def test_a_teat_has_a_colour_and_a_marker_and_says_on_how_many_poses_it_is() -> None:
     groups = [_group("teat 1", 9), _group("teat 2", 3, outlined=False)]
     svg = error_regions(groups, VIEWS, 5.0)
@@ -199,6 +202,7 @@ def test_a_teat_has_a_colour_and_a_marker_and_says_on_how_many_poses_it_is() -> 
     assert len(svg_facts(svg, "regions").links) == 2 * (9 + 3)
 
 
+@pytest.mark.slow
 def test_a_cloud_says_once_what_its_marks_share() -> None:
     few, many = (
         error_scatter(np.arange(n), np.zeros(n), 5.0, links=["#trial-001"] * n) for n in (3, 200)

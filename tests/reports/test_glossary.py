@@ -43,7 +43,6 @@ def test_the_docs_have_the_same_terms() -> None:
 
 @pytest.mark.weekly
 @pytest.mark.browser
-@pytest.mark.slow
 def test_a_term_says_what_it_means_by_keyboard_without_a_script(
     browser: Browser, tmp_path: Path
 ) -> None:

@@ -18,7 +18,7 @@ from instruments.stage.emulator.controller import Controller
 from instruments.stage.emulator.grbl import GrblController
 from instruments.stage.emulator.marlin import MarlinController
 from instruments.stage.emulator.motion import Vector
-from instruments.stage.emulator.store import CLASSIC, Dialect, Store
+from instruments.stage.emulator.store import CLASSIC, Firmware, Store
 from instruments.stage.emulator.zaber import ZaberController
 
 CONTROLLERS: dict[str, type[Controller]] = {"Marlin": MarlinController, "Zaber": ZaberController}
@@ -80,7 +80,7 @@ class StageEmulator:
         clock: Clock,
         *,
         settings: Mapping[int, float] | None = None,
-        dialect: Dialect = CLASSIC,
+        dialect: Firmware = CLASSIC,
         axes: int = 3,
         play_mm: Vector | None = None,
         high_mm: Vector | None = None,

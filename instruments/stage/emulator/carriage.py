@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from instruments.stage.emulator.motion import AxisRates, Motion, Vector
+from instruments.stage.emulator.motion import AxisRates, CountedMotion, Vector
 from instruments.world.phantom import PlatePose
 
 PRESSED_MM = 0.005  # how far past its edge a limit switch is closed
@@ -87,7 +87,7 @@ class Carriage:
             AxisDrive(place, -travel, play, axis in at_far_end)
             for axis, (place, travel, play) in enumerate(axes)
         ]
-        self.motion = Motion((0.0,) * len(self._axes))
+        self.motion = CountedMotion((0.0,) * len(self._axes))
         self.starts = 0
         self._seen_s = -math.inf  # up to when the axes have followed the motion
         self.homing = False
@@ -95,7 +95,7 @@ class Carriage:
     def moving(self, now_s: float) -> bool:
         return self.homing or self.motion.moving(now_s)
 
-    def follow(self, now_s: float) -> Motion:
+    def follow(self, now_s: float) -> CountedMotion:
         """Bring the axes up to this moment; the motion."""
         if now_s > self._seen_s:
             for counts in self.motion.turns(self._seen_s, now_s):
@@ -137,7 +137,7 @@ class Carriage:
     def count_from(self, count_mm: Vector, now_s: float) -> None:
         """The controller counts from here, by power or at the end of homing."""
         self.halt(now_s)
-        self.motion = Motion(count_mm)
+        self.motion = CountedMotion(count_mm)
         for axis, count in zip(self._axes, count_mm, strict=True):
             axis.recount(count)
 

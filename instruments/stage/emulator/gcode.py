@@ -24,11 +24,11 @@ _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
 _NOT_NEGATIVE = "FNPST"
 
 
-class RefusedError(Exception):
+class GcodeError(Exception):
     """The line is refused with this error number."""
 
 
-class Code(NamedTuple):
+class GroupedCode(NamedTuple):
     """A modal group, the hundredths that a number may have, the error for others, and what a line's
     axis words are for: at most one code of a line has a use for them.
     """
@@ -39,30 +39,30 @@ class Code(NamedTuple):
     axes: str = ""
 
 
-CODES: dict[str, dict[int, Code]] = {
+CODES: dict[str, dict[int, GroupedCode]] = {
     "G": {
-        **dict.fromkeys((0, 1, 2, 3), Code("motion", axes="motion")),
-        4: Code("other"),
-        10: Code("other", axes="other"),
-        **dict.fromkeys((17, 18, 19), Code("plane")),
-        **dict.fromkeys((20, 21), Code("units")),
-        **dict.fromkeys((28, 30, 92), Code("other", (0, 10), 20, "other")),
-        38: Code("motion", (20, 30, 40, 50), 20, "motion"),
-        40: Code("cutter"),
-        43: Code("tool", (10,), 20, "tool"),
-        49: Code("tool", tuple(range(100)), axes="tool"),
-        53: Code("other"),
-        **dict.fromkeys(range(54, 60), Code("system")),
-        61: Code("path", error=20),
-        80: Code("motion"),
-        90: Code("distance", error=20),
-        91: Code("distance", (0, 10), 20),
-        **dict.fromkeys((93, 94), Code("feed_mode")),
+        **dict.fromkeys((0, 1, 2, 3), GroupedCode("motion", axes="motion")),
+        4: GroupedCode("other"),
+        10: GroupedCode("other", axes="other"),
+        **dict.fromkeys((17, 18, 19), GroupedCode("plane")),
+        **dict.fromkeys((20, 21), GroupedCode("units")),
+        **dict.fromkeys((28, 30, 92), GroupedCode("other", (0, 10), 20, "other")),
+        38: GroupedCode("motion", (20, 30, 40, 50), 20, "motion"),
+        40: GroupedCode("cutter"),
+        43: GroupedCode("tool", (10,), 20, "tool"),
+        49: GroupedCode("tool", tuple(range(100)), axes="tool"),
+        53: GroupedCode("other"),
+        **dict.fromkeys(range(54, 60), GroupedCode("system")),
+        61: GroupedCode("path", error=20),
+        80: GroupedCode("motion"),
+        90: GroupedCode("distance", error=20),
+        91: GroupedCode("distance", (0, 10), 20),
+        **dict.fromkeys((93, 94), GroupedCode("feed_mode")),
     },
     "M": {
-        **dict.fromkeys((0, 1, 2, 30), Code("program")),
-        **dict.fromkeys((3, 4, 5), Code("spindle")),
-        **dict.fromkeys((8, 9), Code("coolant")),
+        **dict.fromkeys((0, 1, 2, 30), GroupedCode("program")),
+        **dict.fromkeys((3, 4, 5), GroupedCode("spindle")),
+        **dict.fromkeys((8, 9), GroupedCode("coolant")),
     },
 }
 
@@ -100,7 +100,7 @@ PROGRAM_END = {"motion": 1, "plane": 17, "distance": 90, "feed_mode": 94, "syste
 PROGRAM_END |= {"spindle": 5, "coolant": 9}
 
 
-class Move(NamedTuple):
+class StraightMove(NamedTuple):
     """A straight move; no ``feed_mm_min`` is as fast as possible."""
 
     target_mm: Vector
@@ -128,11 +128,11 @@ class Flow(NamedTuple):
     end: bool
 
 
-Action = Move | Probing | Dwell | Flow
+Action = StraightMove | Probing | Dwell | Flow
 
 
 @dataclass(slots=True)
-class Line:
+class ParsedLine:
     """A line taken apart: codes by modal group, words by letter, and its axis words' use."""
 
     codes: dict[str, float]
@@ -144,56 +144,56 @@ class Line:
         return self.codes.get("other")
 
 
-def read_line(text: str, axes: str, most_line_number: float) -> Line:
-    """Take a line apart (capitals, no blanks). Raises RefusedError."""
-    line, at = Line({}, {}), 0
+def read_line(text: str, axes: str, most_line_number: float) -> ParsedLine:
+    """Take a line apart (capitals, no blanks). Raises GcodeError."""
+    line, at = ParsedLine({}, {}), 0
     while at < len(text):
         found = _WORD.match(text, at)
         if found is None:
-            raise RefusedError(1)
+            raise GcodeError(1)
         letter, number, at = found[1], found[2], found.end()
         if number is None:
-            raise RefusedError(2)
+            raise GcodeError(2)
         if letter in CODES:
             _add_code(line, letter, float(number))
         elif letter in axes or letter in "FIJKLNPRST":
             _add_word(line, letter, float(number))
         else:
-            raise RefusedError(20)
+            raise GcodeError(20)
     if not line.axes and line.words.keys() & set(axes):
         line.axes = "motion"
     if int(line.words.get("N", 0)) > most_line_number:
-        raise RefusedError(27)
+        raise GcodeError(27)
     return line
 
 
-def _add_code(line: Line, letter: str, value: float) -> None:
+def _add_code(line: ParsedLine, letter: str, value: float) -> None:
     whole = int(value) & 0xFF  # as the firmware, in one byte
     part = round(100 * (value - whole)) & 0xFFFF
     if letter == "M" and part:
-        raise RefusedError(23)
+        raise GcodeError(23)
     code = CODES[letter].get(whole)
     if code is None:
-        raise RefusedError(20)
+        raise GcodeError(20)
     if code.axes and (code.axes != "other" or not part):
         if line.axes:
-            raise RefusedError(24)
+            raise GcodeError(24)
         line.axes = code.axes
     if part not in code.parts:
-        raise RefusedError(code.error)
+        raise GcodeError(code.error)
     group = "arc distance" if whole == 91 and part else code.group
     if group in line.codes:
-        raise RefusedError(21)
+        raise GcodeError(21)
     line.codes[group] = whole + (part / 100 if whole != 49 else 0)
 
 
-def _add_word(line: Line, letter: str, value: float) -> None:
+def _add_word(line: ParsedLine, letter: str, value: float) -> None:
     if letter == "T" and value > MOST_TOOL:
-        raise RefusedError(38)
+        raise GcodeError(38)
     if letter in line.words:
-        raise RefusedError(25)
+        raise GcodeError(25)
     if letter in _NOT_NEGATIVE and value < 0:
-        raise RefusedError(4)
+        raise GcodeError(4)
     line.words[letter] = value
 
 
@@ -227,7 +227,7 @@ class GCode:
         return tuple(offset)
 
     def take(self, text: str) -> list[Action]:
-        """What a line asks for, and its modes and offsets set. Raises RefusedError."""
+        """What a line asks for, and its modes and offsets set. Raises GcodeError."""
         line = read_line(text, self.axes, self.most_line_number)
         modes = self._after(line)
         modes = replace(modes, feed=self._feed(line, modes))
@@ -257,61 +257,61 @@ class GCode:
             self.modes, self.offset_changed = replace(modes, **PROGRAM_END), True
         return actions
 
-    def jog(self, text: str) -> Move | None:
-        """A jog's move. It leaves no mode behind. Raises RefusedError."""
+    def jog(self, text: str) -> StraightMove | None:
+        """A jog's move. It leaves no mode behind. Raises GcodeError."""
         line = read_line(text, self.axes, self.most_line_number)
         modes = replace(self._after(line), motion=line.codes.get("motion", 1), feed_mode=94)
         if "F" not in line.words:
-            raise RefusedError(22)
+            raise GcodeError(22)
         feed = line.words["F"] * modes.unit_mm
         target = self._checked(line, replace(modes, feed=feed))
         self._check_unused(line, modes, "FN")
         if line.codes.keys() - {"units", "distance", "other"} or line.other not in (None, 53):
-            raise RefusedError(16)
-        return Move(target, feed) if self._words(line) else None
+            raise GcodeError(16)
+        return StraightMove(target, feed) if self._words(line) else None
 
-    def _after(self, line: Line) -> Modes:
+    def _after(self, line: ParsedLine) -> Modes:
         modes = {group: code for group, code in line.codes.items() if group in GROUPS}
         number = int(line.words.get("T", 0))
         speed = line.words.get("S", self.modes.speed)
         return replace(self.modes, tool_number=number, speed=speed, **modes)
 
-    def _feed(self, line: Line, modes: Modes) -> float:
+    def _feed(self, line: ParsedLine, modes: Modes) -> float:
         """mm/min, or moves a minute with G93, which each move states anew."""
         given = line.words.get("F")
         if modes.feed_mode == 93:
             if given is None and line.axes == "motion" and modes.motion not in (0, 80):
-                raise RefusedError(22)
+                raise GcodeError(22)
             return given or 0.0
         if self.modes.feed_mode == 93:
             return given or 0.0
         return self.modes.feed if given is None else given * modes.unit_mm
 
-    def _words(self, line: Line) -> dict[int, float]:
+    def _words(self, line: ParsedLine) -> dict[int, float]:
         """The line's axis words, by axis."""
         return {at: line.words[axis] for at, axis in enumerate(self.axes) if axis in line.words}
 
-    def _checked(self, line: Line, modes: Modes) -> Vector:
+    def _checked(self, line: ParsedLine, modes: Modes) -> Vector:
         """Where the axis words lead to, with the firmware's checks in its order."""
         words = self._words(line)
         if line.other == 4 and "P" not in line.words:
-            raise RefusedError(28)
+            raise GcodeError(28)
         if line.codes.get("tool") == 43.1 and words.keys() != {2}:
-            raise RefusedError(37)
+            raise GcodeError(37)
         target = self._target(line, modes, words)
         if line.other == 10:
             self._check_system(line, words)
         elif line.other == 92 and not words:
-            raise RefusedError(26)
+            raise GcodeError(26)
         elif line.other == 53 and modes.motion not in (0, 1):
-            raise RefusedError(30)
+            raise GcodeError(30)
         if modes.motion == 80 and words:
-            raise RefusedError(31)
+            raise GcodeError(31)
         if modes.motion != 80 and line.axes == "motion" and modes.motion != 0:
             self._check_motion(line, modes, words, target)
         return target
 
-    def _target(self, line: Line, modes: Modes, words: dict[int, float]) -> Vector:
+    def _target(self, line: ParsedLine, modes: Modes, words: dict[int, float]) -> Vector:
         """Words in mm; of G10, G43.1 and G92 as they stand, else in machine coordinates."""
         plain = line.axes == "tool" or line.other in (10, 53, 92)
         offset, target = self.offset_mm(modes), list(self.at_mm)
@@ -323,77 +323,77 @@ class GCode:
                 target[axis] = value + (self.at_mm if modes.distance == 91 else offset)[axis]
         return tuple(target)
 
-    def _check_system(self, line: Line, words: dict[int, float]) -> None:
+    def _check_system(self, line: ParsedLine, words: dict[int, float]) -> None:
         if not words:
-            raise RefusedError(26)
+            raise GcodeError(26)
         if not line.words.keys() & {"P", "L"}:
-            raise RefusedError(28)
+            raise GcodeError(28)
         if int(line.words.get("P", 0)) > 6:
-            raise RefusedError(29)
+            raise GcodeError(29)
         kind = int(line.words.get("L", 0))
         if kind not in (2, 20) or (kind == 2 and "R" in line.words):
-            raise RefusedError(20)
+            raise GcodeError(20)
 
     def _check_motion(
-        self, line: Line, modes: Modes, words: dict[int, float], target: Vector
+        self, line: ParsedLine, modes: Modes, words: dict[int, float], target: Vector
     ) -> None:
         if not modes.feed:
-            raise RefusedError(22)
+            raise GcodeError(22)
         if modes.motion == 1:
             return
         if not words:
-            raise RefusedError(26)
+            raise GcodeError(26)
         if modes.motion in (2, 3):
             plane = _plane(modes)
             if not words.keys() & set(plane):
-                raise RefusedError(32)
+                raise GcodeError(32)
             self._centre(line, modes, target)
         elif target == self.at_mm:
-            raise RefusedError(33)
+            raise GcodeError(33)
 
-    def _centre(self, line: Line, modes: Modes, target: Vector) -> tuple[float, float]:
-        """The arc's centre in its plane, less where it begins. Raises RefusedError."""
+    def _centre(self, line: ParsedLine, modes: Modes, target: Vector) -> tuple[float, float]:
+        """The arc's centre in its plane, less where it begins. Raises GcodeError."""
         first, second = _plane(modes)
         x, y = target[first] - self.at_mm[first], target[second] - self.at_mm[second]
         if "R" in line.words:
             if target == self.at_mm:
-                raise RefusedError(33)
+                raise GcodeError(33)
             radius = line.words["R"] * modes.unit_mm
             square = 4 * radius**2 - x * x - y * y
             if square < 0:
-                raise RefusedError(34)
+                raise GcodeError(34)
             side = math.sqrt(square) / (math.hypot(x, y) or math.inf) / 2
             side = side if (modes.motion == 2) == (radius < 0) else -side
             return x / 2 - side * y, y / 2 + side * x
         i, j = (line.words.get("IJK"[axis]) for axis in (first, second))
         if i is None and j is None:
-            raise RefusedError(35)
+            raise GcodeError(35)
         i, j = (i or 0.0) * modes.unit_mm, (j or 0.0) * modes.unit_mm
         radius = math.hypot(i, j)
         off = abs(math.hypot(x - i, y - j) - radius)
         if off > 0.5 or off > max(0.005, 0.001 * radius):
-            raise RefusedError(33)
+            raise GcodeError(33)
         return i, j
 
-    def _check_unused(self, line: Line, modes: Modes, single: str) -> None:
+    def _check_unused(self, line: ParsedLine, modes: Modes, single: str) -> None:
         used = set(single) | (set(self.axes) if line.axes else set())
         if line.other in (4, 10):
             used |= {"P", "L"} if line.other == 10 else {"P"}
         if line.axes == "motion" and modes.motion in (2, 3):
             used |= {"R"} if "R" in line.words else set("IJK")
         if line.words.keys() - used:
-            raise RefusedError(36)
+            raise GcodeError(36)
 
-    def _homewards(self, line: Line, target: Vector) -> list[Action]:
+    def _homewards(self, line: ParsedLine, target: Vector) -> list[Action]:
         """By way of the target, on its axes only, to where G28.1 or G30.1 was."""
         words, home = self._words(line), self.stored[line.codes["other"]]
         ends = tuple(
             [home[at] if not words or at in words else x for at, x in enumerate(self.at_mm)]
         )
         self.at_mm = ends
-        return [Move(place, None) for place in ([target, ends] if words else [ends])]
+        return [StraightMove(place, None) for place in ([target, ends] if words else [ends])]
 
-    def _set(self, line: Line, target: Vector) -> list[Action]:
+    def _set(self, line: ParsedLine, target: Vector) -> list[Action]:
         """Set a parameter or G92's offset."""
         words, modes = self._words(line), self.modes
         if line.other in (28.1, 30.1):
@@ -422,19 +422,19 @@ class GCode:
                 )
         return [] if line.other in (4, 53, 92, 92.1) else [Dwell(0.0)]
 
-    def _motion(self, line: Line, target: Vector) -> list[Action]:
+    def _motion(self, line: ParsedLine, target: Vector) -> list[Action]:
         modes = self.modes
         if modes.motion == 0:
-            return [Move(target, None)]
+            return [StraightMove(target, None)]
         if modes.motion > 38:
             return [Probing(target, modes.feed, modes.motion > 38.35, modes.motion in (38.2, 38.4))]
         path = [target] if modes.motion == 1 else self._chords(line, target)
         feed = modes.feed
         if modes.feed_mode == 93:
             feed *= sum(map(math.dist, [self.at_mm, *path], path))
-        return [Move(place, feed) for place in path]
+        return [StraightMove(place, feed) for place in path]
 
-    def _chords(self, line: Line, target: Vector) -> list[Vector]:
+    def _chords(self, line: ParsedLine, target: Vector) -> list[Vector]:
         """Places along an arc, its other axes in step."""
         first, second = _plane(self.modes)
         i, j = self._centre(line, self.modes, target)

@@ -24,9 +24,9 @@ from instruments.stage.emulator.gcode import (
     Dwell,
     Flow,
     GCode,
-    Move,
+    GcodeError,
     Probing,
-    RefusedError,
+    StraightMove,
 )
 from instruments.stage.emulator.motion import SOON_S, Vector
 from instruments.stage.emulator.store import Store
@@ -125,7 +125,7 @@ class GrblController(Controller):
             try:
                 self.gcode.take(line)
                 self.say(f">{line}:ok")
-            except RefusedError as error:
+            except GcodeError as error:
                 self.say(f">{line}:error:{error}")
 
     def _message(self, text: str) -> None:
@@ -310,14 +310,14 @@ class GrblController(Controller):
     def work(self, text: str) -> Work:
         try:
             if text == OVERFLOW:
-                raise RefusedError(11)
+                raise GcodeError(11)
             if text.startswith("$"):
                 yield from self._system(text[1:])
             elif text:
                 if self.mode is Mode.LOCKED or self._jogging:
-                    raise RefusedError(9)
+                    raise GcodeError(9)
                 yield from self._run(text)
-        except RefusedError as error:
+        except GcodeError as error:
             return f"error:{error}"
         afterwards, self._afterwards = self._afterwards, None
         if afterwards is None:
@@ -337,16 +337,16 @@ class GrblController(Controller):
             yield from self._jog(text[1:])
         elif first in "$GCX":
             if len(text) > 1:
-                raise RefusedError(3)
+                raise GcodeError(3)
             self._state_line(first)
         elif first == "/" and self.dialect.configured:
             key = text.lower()
             said = self.settings.configuration(key)
             if said is None:
-                raise RefusedError(3)
+                raise GcodeError(3)
             self.say(f"${key}={said}")
         elif self.moving or self.mode not in (Mode.READY, Mode.LOCKED):
-            raise RefusedError(8)
+            raise GcodeError(8)
         elif first == "H":
             yield from self._home(text)
         elif first == "N" and len(text) > 1:
@@ -357,7 +357,7 @@ class GrblController(Controller):
     def _state_line(self, text: str) -> None:
         if text == "$":
             if self.moving and not self._jogging:
-                raise RefusedError(8)
+                raise GcodeError(8)
             for line in self.settings.lines():
                 self.say(line)
         elif text == "G":
@@ -371,7 +371,7 @@ class GrblController(Controller):
             self._afterwards = lambda: self.restart(answered=True)
         elif text == "C":
             if self.moving or self.mode is not Mode.READY:
-                raise RefusedError(8)
+                raise GcodeError(8)
             self.mode = Mode.CHECK
             self._message("Enabled")
 
@@ -388,16 +388,16 @@ class GrblController(Controller):
         elif text in ("#", "N", "I"):
             self._report(text)
         elif text[0] in "#ISR":
-            raise RefusedError(3)
+            raise GcodeError(3)
         else:
             number, value = _setting(text)
             found = _NUMBER.match(value)
             if found is None:
-                raise RefusedError(2)
+                raise GcodeError(2)
             if found.end() < len(value) or number > 255:
-                raise RefusedError(3)
+                raise GcodeError(3)
             if code := self.settings.write(int(number), float(found[0])):
-                raise RefusedError(code)
+                raise GcodeError(code)
             self.gcode.offset_changed |= number == 13
 
     def _report(self, text: str) -> None:
@@ -430,7 +430,7 @@ class GrblController(Controller):
 
     def _store_startup(self, text: str) -> Iterator[float]:
         if self.mode is not Mode.READY:
-            raise RefusedError(8)
+            raise GcodeError(8)
         number, line = _setting(text)
         yield from self._run(line)
         if int(number) in (0, 1):
@@ -438,9 +438,9 @@ class GrblController(Controller):
 
     def _home(self, text: str) -> Iterator[float]:
         if not self.settings[22]:
-            raise RefusedError(5)
+            raise GcodeError(5)
         if text != "H":
-            raise RefusedError(3)
+            raise GcodeError(3)
         self.mode = Mode.HOMING
         yield from self.run_home(range(self.settings.axes))
         if not self.homed:  # an alarm has ended it, and it restarts
@@ -467,12 +467,12 @@ class GrblController(Controller):
             self.gcode.at_mm = end_mm
 
     def _act(self, action: Action) -> Iterator[float]:
-        if isinstance(action, Move | Probing):
+        if isinstance(action, StraightMove | Probing):
             if self.settings[20] and self.settings.beyond_travel(action.target_mm):
                 yield from self._soft_limit()
             if self.mode is Mode.CHECK:
                 return
-            if isinstance(action, Move):
+            if isinstance(action, StraightMove):
                 yield from self._straight(action)
             else:
                 yield from self._probe(action)
@@ -490,7 +490,7 @@ class GrblController(Controller):
             self.mode = Mode.HOLD
             yield math.inf
 
-    def _straight(self, move: Move) -> Iterator[float]:
+    def _straight(self, move: StraightMove) -> Iterator[float]:
         feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
         yield from self.plan(move.target_mm, feed)
         self._jogged = False
@@ -510,7 +510,7 @@ class GrblController(Controller):
         if self.probe_closed is not way.away:
             self.alarm(4)
             return
-        yield from self._straight(Move(way.target_mm, way.feed_mm_min))
+        yield from self._straight(StraightMove(way.target_mm, way.feed_mm_min))
         yield from self.until_still()
         if way.strict:
             self.alarm(5)
@@ -520,24 +520,24 @@ class GrblController(Controller):
 
     def _jog(self, text: str) -> Iterator[float]:
         if self.mode is not Mode.READY or (self.moving and not self._jogged):
-            raise RefusedError(8)
+            raise GcodeError(8)
         if not text.startswith("="):
-            raise RefusedError(3)
+            raise GcodeError(3)
         self._follow_count()
         move = self.gcode.jog(text[1:])
         if move:
             if self.settings[20] and self.settings.beyond_travel(move.target_mm):
-                raise RefusedError(15)
+                raise GcodeError(15)
             self.gcode.at_mm = move.target_mm
             yield from self._straight(move)
             self._jogged = True
 
 
 def _setting(text: str) -> tuple[float, str]:
-    """``number=value``. Raises RefusedError."""
+    """``number=value``. Raises GcodeError."""
     found = _NUMBER.match(text)
     if found is None:
-        raise RefusedError(2)
+        raise GcodeError(2)
     if text[found.end() : found.end() + 1] != "=":
-        raise RefusedError(3)
+        raise GcodeError(3)
     return float(found[0]), text[found.end() + 1 :]

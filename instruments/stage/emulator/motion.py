@@ -101,7 +101,7 @@ class MoveSegment:
         return self.move.target_mm if whole else self.move.place(along_mm)
 
 
-class Motion:
+class CountedMotion:
     """The stage's counted position over time, mm. Moments must not go back."""
 
     def __init__(self, at_mm: Vector) -> None:

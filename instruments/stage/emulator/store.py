@@ -17,7 +17,7 @@ from instruments.stage.emulator.motion import AxisRates, Vector
 
 
 @dataclass(frozen=True, slots=True)
-class Dialect:
+class Firmware:
     """A firmware's welcome, buffers, report fields and options (as `$I` prints them), by default
     classic GRBL's. grblHAL's receive buffer holds a byte less than it states.
     """
@@ -43,8 +43,8 @@ class Dialect:
         return [f"[VER:{self.build}:{info}]", f"[OPT:{self.options}]"]
 
 
-CLASSIC = Dialect()
-GRBL_HAL = Dialect(
+CLASSIC = Firmware()
+GRBL_HAL = Firmware(
     name="grblHAL",
     welcome="GrblHAL 1.1f ['$' or '$HELP' for help]",
     build="1.1f.20240101",
@@ -58,7 +58,7 @@ GRBL_HAL = Dialect(
     crooked_alarm=15,
     most_line_number=math.inf,
 )
-FLUIDNC = Dialect(
+FLUIDNC = Firmware(
     name="FluidNC",
     welcome="Grbl 3.7 [FluidNC v3.7.12 (wifi) '$' for help]",
     build="3.7 FluidNC v3.7.12",
@@ -72,7 +72,7 @@ FLUIDNC = Dialect(
     info="INFO: ",
     configured=True,
 )
-MARLIN = Dialect(name="Marlin", homing_passes=True, from_low_end=True)
+MARLIN = Firmware(name="Marlin", homing_passes=True, from_low_end=True)
 ZABER = replace(MARLIN, name="Zaber", most_axes=4, resets_on_open=False)
 EMULATED = {one.name: one for one in (CLASSIC, GRBL_HAL, FLUIDNC, MARLIN, ZABER)}
 
@@ -106,7 +106,7 @@ class Store:
         self,
         changes: Mapping[int, float] | None = None,
         *,
-        dialect: Dialect = CLASSIC,
+        dialect: Firmware = CLASSIC,
         axes: int = 3,
         high_mm: Vector | None = None,
     ) -> None:

@@ -27,6 +27,7 @@ class Willing:
         return DONE
 
 
+@pytest.mark.slow
 def test_an_arm_is_placed_read_and_verified(tmp_path: Path) -> None:
     person, frame, verified = Willing(), tmp_path / "frame.toml", tmp_path / "verified.toml"
     found = bench.touch_frame(PORT, [None, (100.0, 100.0, 0.0)], operator=person)

@@ -13,8 +13,11 @@ import pytest
 import bench
 from detector import Calibration, Detection, Frames, Outcome, registry
 from instruments import LimitError
+from tests.bench.operated_runs import shipped_rig
 from tests.conftest import ROOT
 from tests.instruments.interrupts import interrupts
+
+pytestmark = pytest.mark.slow
 
 
 def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
@@ -67,7 +70,6 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
         stage.position()
 
 
-@pytest.mark.slow
 def test_ctrl_c_amid_any_step_leaves_a_rig_that_can_be_used() -> None:
     with bench.open_rig("emulated", ("bath",)) as rig, interrupts() as interrupt_in:
         for number in range(100):
@@ -123,6 +125,16 @@ def test_a_detector_is_an_object_too_and_none_behind_its_with_block() -> None:
         cast(Any, fused).detect()
 
 
+def test_a_rig_that_was_calibrated_anew_is_drawn_by_its_new_calibration(tmp_path: Path) -> None:
+    small, whole = (
+        bench.draw("ideal", 3, rig=shipped_rig(tmp_path, whole=whole)) for whole in (False, True)
+    )
+    rows = [shot.frames.left.shape[0] for shot in (small, whole)]
+    assert [shot.calibration.left.image_size[1] for shot in (small, whole)] == rows
+    assert rows[0] < rows[1]
+    assert [end.xyz_mm for end in small.truth] == [end.xyz_mm for end in whole.truth]
+
+
 def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None:
     (tmp_path / "late.py").write_text("import time; time.sleep(30)", encoding="utf-8")
     shot = bench.Shot(*(getattr(bench.draw("ideal", 3), one) for one in ("frames", "calibration")))
@@ -142,7 +154,6 @@ def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None
 OPENS = "import bench\nwith bench.program(''), bench.open_rig('lab.toml', ('bath',)): print('open')"
 
 
-@pytest.mark.slow
 def test_a_real_rig_that_is_open_is_nobody_elses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -306,7 +306,6 @@ def test_a_spheres_centre_has_the_covariance_of_its_draws() -> None:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_sound_arm_on_a_ball_bar_is_accused_no_more_often_than_is_claimed() -> None:
     """`arm verify --spheres`: seven directions of a bar, each end by five touches."""
     rng, runs, accused = np.random.default_rng(5), 600, {"own": 0, "one touch": 0}

@@ -187,7 +187,6 @@ def test_the_published_calibration_ships_with_its_defects_stated() -> None:
     assert "no rigid motion" in text
 
 
-@pytest.mark.slow
 def test_a_board_that_no_thermal_camera_sees_whole_is_refused_by_name(
     tmp_path: Path, said: Said
 ) -> None:

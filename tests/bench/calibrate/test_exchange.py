@@ -41,6 +41,7 @@ def taken(kind: str, text: str | bytes, folder: Path) -> Part:
     return read_foreign([path], kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind", "why"),
     [
@@ -231,7 +232,6 @@ def matlab(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_matlabs_structure_counts_pixels_from_one_and_transposes(tmp_path: Path) -> None:
     path = tmp_path / "stereo.mat"
     savemat(path, matlab())

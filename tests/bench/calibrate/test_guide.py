@@ -35,6 +35,8 @@ from instruments.operators.operator import (
 from instruments.world.boards import Pattern
 from tests.bench.calibrate.board_pictures import picture
 
+pytestmark = pytest.mark.slow
+
 SIZE = (960, 720)
 LEFT = Camera(SIZE, (910.0, 912.0), (477.0, 362.0), 0.0, (-0.1, 0.05, 0.0, 0.0, 0.0))
 SMALL = Board("chessboard", 7, 5, 15.0)
@@ -102,7 +104,6 @@ class Room:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Path) -> None:
     room = Room(empty=(3,))
     kept = room.gather(tmp_path)
@@ -117,7 +118,6 @@ def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Pa
     assert late.endswith(f"{show} bottom far right; left: 1 more view.")
 
 
-@pytest.mark.slow
 def test_who_has_had_enough_reads_what_is_missing_and_sees_green_where_it_is_covered(
     tmp_path: Path,
 ) -> None:
@@ -138,7 +138,6 @@ def test_who_has_had_enough_reads_what_is_missing_and_sees_green_where_it_is_cov
     assert min(redder) > drawn[5 + high : 60 + high, :, 1].mean(), "the row below, where it was not"
 
 
-@pytest.mark.slow
 def test_without_a_camera_to_guide_so_many_views_are_taken(tmp_path: Path) -> None:
     room = Room()
     assert room.gather(tmp_path, ViewsRequest(("left",), (), most=3)) == 3
@@ -208,7 +207,6 @@ def test_a_disk_that_is_full_at_the_second_view_leaves_the_first_and_says_where(
     assert room.note[-1] == f"Taken so far: 1 view, in {tmp_path}, to be given with further ones."
 
 
-@pytest.mark.slow
 def test_a_camera_that_delivers_nothing_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the rig has no thermal camera: left delivered pictures"):
         Room().gather(tmp_path, ViewsRequest(("left", "thermal"), ("thermal",)))

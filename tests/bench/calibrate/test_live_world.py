@@ -25,6 +25,8 @@ from instruments.microscribe.errors import ArmMovesError
 from instruments.operators.operator import DONE, Answer, BoardPose, BoardTouch, Request, no_check
 from tests.bench.calibrate.board_pictures import BOARD, LEFT, RIGHT, RIGHT_FROM_LEFT, picture, poses
 
+pytestmark = pytest.mark.slow
+
 Grey = NDArray[np.uint8]
 WORLD_FROM_BOARD = Motion.from_vectors([-1.4, 0.1, 0.05], [-300.0, 200.0, 250.0])
 NORMAL = -WORLD_FROM_BOARD.R[:, 2]  # towards who sees the print
@@ -107,7 +109,6 @@ def test_points_of_one_position_are_kept_whatever_becomes_of_the_next(
     assert f"9 points are kept in {tmp_path / 'points.csv'}" in lab.text
 
 
-@pytest.mark.slow
 def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Path) -> None:
     lab = Lab()
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
@@ -117,7 +118,6 @@ def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Pat
     assert table.startswith("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n")
 
 
-@pytest.mark.slow
 def test_a_point_is_asked_for_again_alone_whatever_was_wrong(tmp_path: Path) -> None:
     lab = Lab(wrong={5: 3}, moves_at=8)
     lab.lost_at = 12
@@ -129,7 +129,6 @@ def test_a_point_is_asked_for_again_alone_whatever_was_wrong(tmp_path: Path) -> 
     assert lab.again[1].endswith("Touch it once more.")
 
 
-@pytest.mark.slow
 def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: Path) -> None:
     lab = Lab(hidden_looks=2)
     lab.points(tmp_path)
@@ -138,7 +137,6 @@ def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: P
     assert lab.text[0].startswith("position 1: refused: no 7 x 5 chessboard found")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lab", "why"),
     [
@@ -155,7 +153,6 @@ def test_what_never_goes_well_ends_it(lab: Lab, why: str, tmp_path: Path) -> Non
     assert not (tmp_path / "points.csv").exists()
 
 
-@pytest.mark.slow
 def test_a_position_whose_touches_do_not_fit_is_done_again_alone(tmp_path: Path) -> None:
     """Here the first touch was another point's: all after it seem wrong."""
     lab = Lab(wrong={10: 30})
@@ -167,7 +164,6 @@ def test_a_position_whose_touches_do_not_fit_is_done_again_alone(tmp_path: Path)
     assert "The points of the position before are kept. Position 2 is done again" in why
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("off_mm", [0.0, 3.0])
 def test_after_the_arm_was_homed_again_one_touch_shows_whether_those_before_count(
     off_mm: float, tmp_path: Path

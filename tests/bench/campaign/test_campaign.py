@@ -35,6 +35,8 @@ from tests.conftest import ROOT
 from tests.ports import free_ports
 from tests.waiting import within
 
+pytestmark = pytest.mark.slow
+
 # with 50 by hand: 200 scenes
 WORKERS = (1, 2, 7) if KILLS else (2,)
 WORKER_KILLS = int(KILLS or 1)
@@ -80,7 +82,6 @@ class Killing:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.parametrize("workers", WORKERS)
 def test_workers_killed_at_random_change_nothing(
@@ -122,7 +123,6 @@ class Rogue:
 """
 
 
-@pytest.mark.slow
 def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
@@ -171,7 +171,6 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
     tmp_path: Path,
 ) -> None:
@@ -198,7 +197,6 @@ def test_chunks_suit_the_number_of_scenes(families: int, scenes: int, in_chunk: 
     assert CampaignPlan.model_validate(tomllib.loads(text) | {"made_by": {}}) == asked
 
 
-@pytest.mark.slow
 def test_what_the_commands_write_and_refuse(
     plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:
@@ -253,7 +251,6 @@ def test_what_the_commands_write_and_refuse(
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.timeout(420 + 20 * KILLED)  # longer than it waits for an end
 def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path

@@ -20,6 +20,8 @@ from bench.campaign.shards import Shards
 from bench.scoring.decisions import Verdict
 from tests.bench.commands import Said
 
+pytestmark = pytest.mark.slow
+
 SCENES = 40
 MADE_BY = {"teatbench": "0.2.0 a", "rig": "emulated a", "calibration": "c", "detectors": "d 1 x"}
 
@@ -63,7 +65,6 @@ def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("compared") / "old")
 
 
-@pytest.mark.slow
 def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None:
     same = tmp_path / "same"
     shutil.copytree(old, same)
@@ -91,7 +92,6 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     assert "the mean distance to the teat end grew by 0.35 mm" in grown
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("false", [0, 1])
 def test_answers_are_identical_where_no_end_is_false(tmp_path: Path, false: int) -> None:
     """A campaign keeps no place of a false end: it may have been elsewhere."""
@@ -100,7 +100,6 @@ def test_answers_are_identical_where_no_end_is_false(tmp_path: Path, false: int)
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_campaign_that_grew_is_looked_at_again_and_pays(tmp_path: Path, said: Said) -> None:
     """Two unfinished campaigns compared, then with more scenes done; the same data is one look."""
     both = [written(tmp_path / name, members=range(30)) for name in ("old", "new")]
@@ -129,7 +128,6 @@ def test_a_campaign_that_grew_is_looked_at_again_and_pays(tmp_path: Path, said: 
     assert not Ledger(kept).damage("shards/")
 
 
-@pytest.mark.slow
 def test_a_look_that_can_not_be_kept_shows_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,7 +142,6 @@ def test_a_look_that_can_not_be_kept_shows_nothing(
     assert "no space left" in found.compared.gate.reasons[0]
 
 
-@pytest.mark.slow
 def test_other_pictures_are_compared_only_where_the_plans_say_why(
     old: Path, tmp_path: Path, said: Said
 ) -> None:
@@ -159,7 +156,6 @@ def test_other_pictures_are_compared_only_where_the_plans_say_why(
     assert "not compared: 4 trials of the old run" in " ".join(out.split())
 
 
-@pytest.mark.slow
 def test_what_can_not_be_compared_is_refused(old: Path, tmp_path: Path, said: Said) -> None:
     strict = written(tmp_path / "strict", plan={"limit_mm": 3.0})
     assert "run both with one limit_mm" in said(2, "campaign compare {} {}", old, strict).err

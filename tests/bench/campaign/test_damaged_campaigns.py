@@ -115,6 +115,7 @@ def test_no_damage_is_used_in_silence(
         assert query(folder, SQL) == wanted
 
 
+@pytest.mark.slow
 def test_rows_that_come_out_otherwise_are_told(sound: Path) -> None:
     campaign, _ = run(sound)
     book, digest = campaign.shards.ledger, campaign.shards.digest()

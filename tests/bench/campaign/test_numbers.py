@@ -55,6 +55,7 @@ def numbers(plan: CampaignPlan, tmp_path_factory: pytest.TempPathFactory) -> Num
     return campaign_numbers(folder, plan)
 
 
+@pytest.mark.slow
 def test_rates_teats_and_what_is_stated(numbers: Numbers) -> None:
     missed = sum(row(member).failure == "missed" for member in range(SCENES))
     assert 20 < missed < 40

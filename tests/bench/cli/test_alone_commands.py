@@ -67,7 +67,6 @@ def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_marlin_by_its_dialect(said: Said) -> None:
     with served(lambda clock: StageEmulator(clock, dialect=MARLIN, settings=FAST)) as (_, url):
         at = ["--port", url, "--dialect", "marlin"]

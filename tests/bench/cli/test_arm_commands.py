@@ -134,6 +134,7 @@ def test_a_bad_arm_is_not_verified(tmp_path: Path, monkeypatch: Patch, said: Sai
     assert "passed = false" in out.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_an_arm_without_a_calibrated_length_is_not_refuted_and_not_verified(
     tmp_path: Path, monkeypatch: Patch, said: Said
 ) -> None:
@@ -161,6 +162,7 @@ def test_a_frame_whose_check_point_is_off_is_not_written(
     )
 
 
+@pytest.mark.slow
 def test_watch_shows_tip_pedals_and_rate_live_until_ctrl_c(monkeypatch: Patch) -> None:
     with closing(RealClock()) as clock, SimulatedArm(clock) as simulated:
         acts = {
@@ -211,6 +213,7 @@ def test_read_gives_one_json_object(said: Said) -> None:
     assert line["serial_number"] == "40937"
 
 
+@pytest.mark.slow
 def test_read_in_the_world_uses_the_frame_of_this_arm_only(
     tmp_path: Path, monkeypatch: Patch, said: Said
 ) -> None:

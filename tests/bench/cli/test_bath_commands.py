@@ -116,6 +116,7 @@ def test_set_changes_the_set_point_and_starts_nothing(bath: Served, said: Said) 
     assert not bath.plant.running
 
 
+@pytest.mark.slow
 def test_where_nothing_tells_the_unit_a_person_compares_with_the_display(said: Said) -> None:
     profile, plant = load_profile("lauda-ascii"), Plant(1, start_c=25.0)
     assert isinstance(profile, LineProfile)

@@ -97,6 +97,7 @@ def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, said:
 INTERRUPTED = "teatbench: interrupted: nothing was begun.\n"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 @pytest.mark.parametrize(
     ("when", "code", "text"), [("import", 3, INTERRUPTED), ("exit", 2, ""), ("_exit", 2, "")]
@@ -127,6 +128,7 @@ sys.exit(main())
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seconds", "says"), [(0.5, ""), (3600.0, "left running: reader")])
 def test_a_thread_that_a_driver_left_keeps_no_command_from_its_end(
     seconds: float, says: str
@@ -170,6 +172,7 @@ def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:
     assert Path(copy.removeprefix("for a real rig: copy ").partition(",")[0]).is_file()
 
 
+@pytest.mark.slow
 def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,10 +20,11 @@ from instruments.clock import RealClock
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, lab_rig
 
+pytestmark = pytest.mark.slow
+
 DRY = "run {} --dry-run --out {}"
 
 
-@pytest.mark.slow
 def test_a_clean_script_exits_with_0(two_trials: Path, tmp_path: Path, said: Said) -> None:
     given = two_trials, tmp_path / "runs", write_small_rig(tmp_path)
     seen = said(0, f"{DRY} --rig {{}}", *given)
@@ -62,7 +63,6 @@ def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
     return folder / "one.py", folder / "runs"
 
 
-@pytest.mark.slow
 def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, said: Said) -> None:
     rig = lab_rig(tmp_path, ELSEWHERE)
     (tmp_path / "lab.tripped.json").write_text(
@@ -87,7 +87,6 @@ def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, sa
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_what_a_person_has_to_confirm_is_said_by_check_and_dry_run_as_by_a_run(
     tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,7 +107,6 @@ def test_what_a_person_has_to_confirm_is_said_by_check_and_dry_run_as_by_a_run(
     assert not runs.exists()
 
 
-@pytest.mark.slow
 def test_a_run_without_room_is_refused_before_it_starts_in_the_words_of_its_dry_run(
     tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,7 +134,6 @@ def test_a_run_without_room_is_refused_before_it_starts_in_the_words_of_its_dry_
 FAR = ', "pose": {"x_mm": 170.0}'
 
 
-@pytest.mark.slow
 def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: Said) -> None:
     script, runs = one(tmp_path, FAR)
     given = runs, write_small_rig(tmp_path)
@@ -154,7 +151,6 @@ def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: S
     assert list(both["scripts"][0]) == [*keys.split(), "needs"]
 
 
-@pytest.mark.slow
 def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
     tmp_path: Path, said: Said
 ) -> None:

@@ -18,6 +18,8 @@ from bench.run import estimate
 from tests.bench.commands import Said, full
 from tests.bench.small_run import KEPT
 
+pytestmark = pytest.mark.slow
+
 CALIBRATION = KEPT / "calibration.toml"
 COMMANDS = {
     "a run": "run six-situations --out {there}/runs",
@@ -53,7 +55,6 @@ CASES += [(what, 1200) for what in ("tables", "a recording")]
 CASES += [(what, 10_000) for what in ("a comparison", "scenes", "boards", "frames")]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("what", "most"), CASES)
 def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(
     what: str, most: int, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch

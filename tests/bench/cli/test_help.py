@@ -83,6 +83,7 @@ def test_the_next_two_commands_can_be_given(name: str) -> None:
             assert " ".join(given.topic) in topics()
 
 
+@pytest.mark.slow
 def test_a_person_is_told_what_comes_next(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

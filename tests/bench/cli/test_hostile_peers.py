@@ -23,6 +23,8 @@ from instruments.stage.connection import Dialogue
 from tests.bench.hostile_peers import CELLS, hostile, rig_text, sound_bath
 from tests.examples import few
 
+pytestmark = pytest.mark.slow
+
 if sys.platform == "win32":
     pytest.skip("forks benches", allow_module_level=True)
 
@@ -36,7 +38,6 @@ QUICK = ("endless data", "endless lines", "closing at once", "echo", "zeros", "e
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("link", "kind"),
     [pytest.param(*cell, id=", ".join(cell), marks=MAKERS.get(cell, ())) for cell in CELLS],
@@ -60,7 +61,6 @@ COMMANDS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "kind"),
     few([(command, kind) for command, kinds in COMMANDS.items() for kind in kinds], 2),
@@ -83,7 +83,6 @@ def test_a_command_ends_in_time_and_says_why(
         assert "without pause" in said.err or "got" in said.err or "link" in said.err
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ENDLESS)
 def test_no_wait_of_a_link_is_longer_than_its_deadline(kind: str) -> None:
     with closing(RealClock()) as clock, hostile(kind) as peer:
@@ -104,7 +103,6 @@ def test_no_wait_of_a_link_is_longer_than_its_deadline(kind: str) -> None:
                 assert time.monotonic() - start_s < 30.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [*ENDLESS, "closing at once", "echo", "exceptions"])
 def test_an_operator_that_is_none_is_named(kind: str) -> None:
     with closing(RealClock()) as clock, hostile(kind) as peer:
@@ -116,7 +114,6 @@ def test_an_operator_that_is_none_is_named(kind: str) -> None:
             operator.ask(Homing("Put it on its peg."))
 
 
-@pytest.mark.slow
 def test_the_server_of_hostile_peers_is_what_it_says() -> None:
     """A foreign Modbus client reads zeros and exceptions from it."""
     with hostile("zeros") as peer:
@@ -129,7 +126,6 @@ def test_the_server_of_hostile_peers_is_what_it_says() -> None:
         client.close()  # type: ignore[no-untyped-call]
 
 
-@pytest.mark.slow
 def test_a_rig_of_typed_points_is_checked(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

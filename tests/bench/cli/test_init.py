@@ -20,7 +20,7 @@ from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import FLUIDNC, MARLIN, ZABER, Dialect
+from instruments.stage.emulator.store import FLUIDNC, MARLIN, ZABER, Firmware
 from tests.bench.commands import Said, teatbench
 
 LISTED = [("opencv:4", "Cam A"), ("genicam:FLIR-1", "FLIR A50"), ("genicam:", "not looked for")]
@@ -122,14 +122,14 @@ class Clock(VirtualClock):
             b"?IMCBEGN\xc5M15\n/get pos",
         ),
     ],
-    ids=lambda value: value.name if isinstance(value, Dialect) else "",
+    ids=lambda value: value.name if isinstance(value, Firmware) else "",
 )
 def test_stages_of_every_firmware_are_found_by_questions_alone(
     tmp_path: Path,
     said: Said,
     monkeypatch: pytest.MonkeyPatch,
     sent: dict[str, bytes],
-    dialect: Dialect,
+    dialect: Firmware,
     answers: list[str],
     expected: dict[str, object],
     allowed: bytes,

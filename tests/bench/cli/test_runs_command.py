@@ -34,6 +34,7 @@ def runs(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_each_run_is_listed_and_each_other_folder_named(said: Said, runs: Path) -> None:
     text = json.loads(said(0, "runs {} --json", runs).out)
     by_name = {Path(run["folder"]).name: run for run in text["runs"]}
@@ -62,6 +63,7 @@ def test_false_ends_are_counted_where_no_teat_is_visible(
     assert re.search(r"│ not measured │ +2 │ +not measured │", said(0, "runs {}", runs).out)
 
 
+@pytest.mark.slow
 def test_the_page_stands_alone(said: Said, runs: Path) -> None:
     with patch("bench.report.runs.control_chart", wraps=control_chart) as drawn:
         seen = said(0, "runs {}", runs).out
@@ -95,6 +97,7 @@ def test_of_many_runs_the_last_are_shown_one_by_one(
     assert steps.count('class="chip ') == 20
 
 
+@pytest.mark.slow
 def test_a_report_that_has_no_room_says_so_once(said: Said, runs: Path) -> None:
     with patch("bench.report.page.write_report", side_effect=OSError(ENOSPC, "full")):
         assert said(3, "report {}", runs / "first").err.count("Make room") == 1
@@ -119,6 +122,7 @@ def test_a_run_that_was_given_a_name_is_the_latest_only_if_it_was_begun_last(
     assert a_run("latest") == later
 
 
+@pytest.mark.slow
 def test_a_run_goes_by_its_name_in_runs(
     said: Said, runs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,8 +17,9 @@ from instruments.world.situations import SITUATIONS, situation
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench, words
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
 def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     tmp_path: Path, said: Said
 ) -> None:
@@ -44,7 +45,6 @@ def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     assert calibration == (out / "calibration.toml").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
     rig = load_rig(write_small_rig(tmp_path))
     for folder, seeds in (("one", [5]), ("two", [4, 5])):
@@ -58,7 +58,6 @@ def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
         list(record_scenes(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
 
 
-@pytest.mark.slow
 def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
     tmp_path: Path, said: Said
 ) -> None:
@@ -82,7 +81,6 @@ def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
@@ -100,7 +98,6 @@ def test_all_families_are_chosen_by_naming_none() -> None:
         chosen(["x"])
 
 
-@pytest.mark.slow
 def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
     rig = write_small_rig(tmp_path)
     text = rig.read_text(encoding="utf-8")
@@ -122,7 +119,6 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
         read_config(rig, Rig)
 
 
-@pytest.mark.slow
 def test_a_heated_board_of_circles_fits_the_thermal_view(tmp_path: Path) -> None:
     boards = "scene boards heated-circles-7x5-18 --warmer-k 14 --poses 1"
     assert (

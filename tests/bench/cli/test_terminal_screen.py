@@ -23,9 +23,8 @@ from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
 from tests.bench.operated_runs import SCRIPT, files, run_of
 
-pytestmark = pytest.mark.skipif(
-    sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
-)
+NEEDED = "needs a pseudo-terminal, which Windows has not"
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason=NEEDED)]
 
 ONE = SCRIPT.replace("poses = [", "poses = [{ x_mm = 12.0 }]\n#")
 IN_TRIAL = "s REASON = skip the trial, r = repeat it, "
@@ -33,7 +32,6 @@ FOLDER = "/home/technician/teatbench/runs/20261120-101500-six-situations"
 LAST_WORDS = "? = explain, a = abort the run): "
 
 
-@pytest.mark.slow
 def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(tmp_path: Path) -> None:
     """The sentences wrap, and their last row may be as good as full."""
     teats = [f"teat {teat} of 4," for teat in (1, 2, 3, 4)]
@@ -61,7 +59,6 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(tmp_path: 
     assert len(bars) == 1, "the bar is there once, at the end"
 
 
-@pytest.mark.slow
 def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:
     with at_terminal(["score", "nosuch"], 40, tmp_path) as terminal:
         assert terminal.code() == 2
@@ -72,7 +69,6 @@ def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:
     assert not any("━" in row or row.startswith("trials") for row in rows)
 
 
-@pytest.mark.slow
 def test_a_terminal_has_a_bar_that_counts_and_a_pipe_has_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
@@ -96,7 +92,6 @@ class AtTerminal(io.StringIO):
         return True
 
 
-@pytest.mark.slow
 def test_lines_that_are_said_while_the_bar_grows_leave_no_second_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -132,7 +127,6 @@ def test_lines_that_are_said_while_the_bar_grows_leave_no_second_one(
     assert not [row for row in screen.rows if row.startswith("trials ")]
 
 
-@pytest.mark.slow
 def test_an_enter_beside_the_bar_leaves_no_second_one(tmp_path: Path) -> None:
     """It would move the cursor, and the next bar would be drawn a row below."""
     with at_terminal(files(tmp_path), 100) as terminal:
@@ -173,7 +167,6 @@ def test_no_word_of_a_table_is_broken(columns: int) -> None:
     assert all(len(line) <= columns for line in said.splitlines())
 
 
-@pytest.mark.slow
 def test_no_word_is_broken_at_a_narrow_terminal(tmp_path: Path, said: Said) -> None:
     """What a rig lacks, and an arm that is verified."""
     init = "init --yes --port socket://127.0.0.1:1 --out {}"

@@ -17,6 +17,7 @@ from bench.script.model import find_script, load_script
 from tests.bench.commands import Said
 
 
+@pytest.mark.slow
 def test_show_lists_every_trial_and_the_time(said: Said) -> None:
     seen = said(0, "trials show plane-map").out
     assert "156 trials, 156 poses" in seen

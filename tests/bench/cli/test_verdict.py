@@ -14,7 +14,6 @@ from bench.script.model import find_script, load_script
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_the_demo_shows_ten_members_of_each_situation() -> None:
     script = load_script(find_script("demo"))
     assert script.script.detectors == ("fused", "thesis")

@@ -68,6 +68,7 @@ def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
 READ = ("help record", "store check {run}", "report {run} --no-pdf", "runs {runs}")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="closes descriptors by a shell of POSIX")
 @pytest.mark.parametrize("command", few(READ, 4))
 def test_whoever_reads_on_the_exit_code_is_the_command_s(command: str, tmp_path: Path) -> None:

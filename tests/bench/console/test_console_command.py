@@ -103,7 +103,6 @@ def test_half_a_request_is_shed_and_pages_that_are_open_leave_no_traceback(tmp_p
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_run_of_a_rig_in_virtual_time_takes_its_real_time_beside_a_console(
     tmp_path: Path,
 ) -> None:

@@ -245,6 +245,7 @@ def test_the_curve_ends_with_the_last_reading(monkeypatch: pytest.MonkeyPatch) -
     assert curve(KEPT)[0][-1] == read_run(KEPT).bath[-1, 0]
 
 
+@pytest.mark.slow
 def test_a_verdict_of_an_earlier_session_is_not_the_run_s(tmp_path: Path) -> None:
     """The first was ended and has a report; the second finished, and was killed before its own."""
     folder = Path(shutil.copytree(KEPT, tmp_path / "runs" / "twice"))

@@ -17,6 +17,8 @@ from bench.script.model import LoadedScript, load_script
 from detector.protocol import Detection, DetectionFailure
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
 
+pytestmark = pytest.mark.slow
+
 FAR = "{ x_mm = 12.0, y_mm = -8.0 }"
 ANSWERS = (
     '[[answers]]\nto = "touch"\nanswer = "{}"\n\n[otherwise]\nhoming = "go"\n"set up" = "go"\ntouch'
@@ -42,7 +44,6 @@ def found(rehearsal: Rehearsal) -> list[tuple[str, str]]:
     return [(one.trial, one.kind) for one in rehearsal.findings]
 
 
-@pytest.mark.slow
 def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> None:
     late = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\ntimeout_s = 30.0")
     rig, script = loaded(tmp_path, script=late)
@@ -59,7 +60,6 @@ def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> Non
     assert "33.005" in tripped.findings[0].text
 
 
-@pytest.mark.slow
 def test_what_the_arm_does_not_reach_is_reported_by_the_trial_and_the_others_are_gone_through(
     tmp_path: Path,
 ) -> None:
@@ -72,7 +72,6 @@ def test_what_the_arm_does_not_reach_is_reported_by_the_trial_and_the_others_are
     assert rehearsal.trials == 2
 
 
-@pytest.mark.slow
 def test_a_check_point_out_of_reach_ends_it(tmp_path: Path) -> None:
     far = CHECK_POINT.replace("120.0", "900.0")
     rehearsal = rehearse(*loaded(tmp_path, check_point=far), ())
@@ -81,7 +80,6 @@ def test_a_check_point_out_of_reach_ends_it(tmp_path: Path) -> None:
     assert reach.text == "the arm doesn't reach the check point at [-190, 900, 15] mm"
 
 
-@pytest.mark.slow
 def test_what_the_run_gets_over_is_reported_and_is_no_finding(tmp_path: Path) -> None:
     faults = 'faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]'
     rehearsal = rehearse(*loaded(tmp_path, stage=STAGE, emulation=faults), ())
@@ -90,7 +88,6 @@ def test_what_the_run_gets_over_is_reported_and_is_no_finding(tmp_path: Path) ->
     assert rehearsal.trials == 3
 
 
-@pytest.mark.slow
 def test_frames_that_fail_the_rigs_checks_and_a_detector_that_fails(tmp_path: Path) -> None:
     rig, script = loaded(tmp_path)
     checks = rig.rig.cameras.checks.model_copy(update={"black_dn": 250})
@@ -113,7 +110,6 @@ class Failing:
         raise DetectionFailure("no licence")
 
 
-@pytest.mark.slow
 def test_answers_that_are_left_over_are_found_and_one_that_skips_is_reported(
     tmp_path: Path,
 ) -> None:
@@ -131,7 +127,6 @@ def test_answers_that_are_left_over_are_found_and_one_that_skips_is_reported(
     assert "1 answer of answers.toml was never asked for" in left.findings[0].text
 
 
-@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path, nothing_stays: Path) -> None:
     rig, script = loaded(tmp_path)
 

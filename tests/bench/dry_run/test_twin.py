@@ -150,7 +150,6 @@ def test_the_arm_stands_where_the_frame_says_under_its_own_number(
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_path: Path) -> None:
     turned = Motion.from_vectors((0.0, 0.0, 0.02), (30.0, 500.0, 135.0))
     places = [(x, y, 0.0) for x in (-250.0, -50.0) for y in (-230.0, -40.0)]
@@ -170,7 +169,6 @@ def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_person_leans_the_stylus_where_an_emulated_operator_would_not_get_to(
     lab: LoadedRig, tmp_path: Path
 ) -> None:

@@ -35,6 +35,8 @@ from tests.conftest import ROOT
 from tests.examples import few
 from tests.undrawn import bare
 
+pytestmark = pytest.mark.slow
+
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
 EXPORTS = ("csv", "parquet", "mcap")
 FRAME = Path("frames") / "001-place-1"
@@ -162,7 +164,6 @@ def reading(run: Path, whole: Path, out: Path) -> dict[str, list[str]]:
     }
 
 
-@pytest.mark.slow
 def test_what_is_whole_is_taken_by_every_command(
     run: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,7 +176,6 @@ def test_what_is_whole_is_taken_by_every_command(
     assert not list(tmp_path.rglob(DAMAGED))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", EACH_RUN)
 def test_a_damaged_run_is_refused_or_marked_as_damaged(
     run: Path, whole: Path, tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
@@ -244,7 +244,6 @@ def test_an_export_that_fails_amid_its_tables_leaves_none(
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, said: Said) -> None:
     class Stopping(Silent):
         def trial(self, done: int, total: int, name: str) -> None:
@@ -266,7 +265,6 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, 
     said(1, "store check {}", run)
 
 
-@pytest.mark.slow
 def test_a_refused_report_withdraws_the_one_before(run: Path, tmp_path: Path, said: Said) -> None:
     report, summary = run / "report", tmp_path / "summary.md"
     assert teatbench("report {} --no-pdf", run) in (0, 1, 4)
@@ -291,7 +289,6 @@ def test_a_refused_report_withdraws_the_one_before(run: Path, tmp_path: Path, sa
         write_report(run)
 
 
-@pytest.mark.slow
 def test_no_list_leads_to_a_report_of_before_the_damage(run: Path) -> None:
     def listed_so() -> set[bool]:
         (card,), (one,) = listed(run.parent), bench.list_runs(run.parent).runs
@@ -308,7 +305,6 @@ def test_no_list_leads_to_a_report_of_before_the_damage(run: Path) -> None:
     assert listed_so() == {False}, "it is withdrawn"
 
 
-@pytest.mark.slow
 def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(
     run: Path, said: Said
 ) -> None:
@@ -328,7 +324,6 @@ def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(
         assert json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"] == printed
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", few(range(4), 4))
 def test_a_bit_flipped_anywhere_in_the_database_changes_nothing_unseen(
     run: Path, tmp_path: Path, seed: int, capsys: pytest.CaptureFixture[str]

@@ -29,10 +29,10 @@ from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FLUSH_EVERY, URGENT, Store, new_run_folder
 from bench.run.events import RunState
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.clock import wall_time
 from instruments.operators.emulated import EmulatedOperator
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from tests.bench.killed_runs import start
 from tests.bench.operated_runs import CHECK_POINT, STAGE, files
 
@@ -88,6 +88,7 @@ def flipped(data: bytes, at: int, bits: int) -> bytes:
     return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]
 
 
+@pytest.mark.slow
 def test_sixteen_runs_of_one_second_get_sixteen_folders(tmp_path: Path) -> None:
     now, start = wall_time(), threading.Barrier(16)
     made: list[Path] = []
@@ -446,12 +447,12 @@ def interrupted_at(line: int, store: Store) -> bool:
 
 
 ACTIONS: tuple[tuple[type, str], ...] = (
-    (Stage, "home"),
-    (Stage, "move_to"),
-    (Stage, "stop"),
-    (Bath, "start"),
-    (Bath, "standby"),
-    (Bath, "safe"),
+    (OwnStage, "home"),
+    (OwnStage, "move_to"),
+    (OwnStage, "stop"),
+    (OwnBath, "start"),
+    (OwnBath, "standby"),
+    (OwnBath, "safe"),
     (EmulatedOperator, "ask"),
     (EmulatedOperator, "_set_up"),
     (EmulatedOperator, "_touch"),
@@ -503,11 +504,11 @@ def test_all_that_was_said_is_durable_before_the_next_physical_action(
     assert start(tmp_path)[1] is RunState.FINISHED
     assert spoken.said["trials"] == 3
     assert {
-        "Stage.home",
-        "Stage.move_to",
-        "Bath.start",
-        "Bath.safe",
+        "OwnStage.home",
+        "OwnStage.move_to",
+        "OwnBath.start",
+        "OwnBath.safe",
         "EmulatedOperator._set_up",
         "EmulatedOperator._touch",
     } <= set(spoken.looked)
-    assert spoken.looked["Stage.move_to"] >= 3
+    assert spoken.looked["OwnStage.move_to"] >= 3

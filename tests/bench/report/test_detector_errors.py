@@ -20,6 +20,8 @@ from reports.trust import checked_slug
 from tests.bench.commands import Said
 from tests.bench.small_recording import write_recording
 
+pytestmark = pytest.mark.slow
+
 SPEAKER = r"""
 import os, sys
 os.write(1, b'{"ready": true}\n')
@@ -36,7 +38,6 @@ for number, line in enumerate(sys.stdin, 1):
 """
 
 
-@pytest.mark.slow
 def test_no_words_of_a_program_and_no_name_stop_a_run(tmp_path: Path, said: Said) -> None:
     (tmp_path / "speaker.py").write_text(SPEAKER, encoding="utf-8")
     declared = f'name = "My.speaker_2"\ncommand = [{json.dumps(sys.executable)}, "speaker.py"]\n'
@@ -59,7 +60,6 @@ def test_no_words_of_a_program_and_no_name_stop_a_run(tmp_path: Path, said: Said
     assert "lead to no point in space" in text[3][1]
 
 
-@pytest.mark.slow
 @given(
     st.lists(
         st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}", fullmatch=True), unique=True, max_size=6
@@ -72,7 +72,6 @@ def test_every_name_has_an_id_of_its_own_on_a_page(names: list[str]) -> None:
         assert id_of(name) == name, "links to a report's figures stay"
 
 
-@pytest.mark.slow
 def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(
     tmp_path: Path, said: Said
 ) -> None:

@@ -76,6 +76,7 @@ def changed(run: RunRecord, **rows: Any) -> RunRecord:
     return replace(run, trials=(replace(run.trials[0], **rows), *run.trials[1:]))
 
 
+@pytest.mark.slow
 def test_what_is_drawn_of_something_else_is_not_taken(drawn: list[str], tmp_path: Path) -> None:
     folder = Path(shutil.copytree(KEPT, tmp_path / "run"))
     parts, run = TrialParts(), read_run(folder)

@@ -86,7 +86,6 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_too_many_teats_are_one_cloud(tmp_path: Path) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]
     parts = spread(record(tmp_path, [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]))
@@ -136,6 +135,7 @@ def tilted(poses: int, slope: float) -> ErrorRows:
     )
 
 
+@pytest.mark.slow
 def test_a_trend_with_tilt_is_shown_with_its_slope_and_interval() -> None:
     parts = list(trend_parts(tilted(30, 0.2), "fused"))
     rows = {(row[0], row[1]): row for row in table(parts, "Trends of the error")}

@@ -247,6 +247,7 @@ def test_a_limit_that_contradicts_the_statement_is_told_with_its_chance() -> Non
     assert "contradicts the arm's stated accuracy" in decide_arm(RULE, known).sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("df", [None, 12.0])
 def test_the_largest_of_n_distances_exceeds_its_limit_as_often_as_is_claimed(
     df: float | None,

@@ -146,7 +146,6 @@ def excluded(check: CamerasCheck) -> set[str]:
     return {one.name for one in check.offsets if one.exceeds(0.0)}
 
 
-@pytest.mark.slow
 @pytest.mark.weekly
 @pytest.mark.parametrize("world", ["carried", "touched"])
 def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(

@@ -24,6 +24,8 @@ from tests.conftest import ROOT
 from tests.examples import examples
 from textfiles.documents import read_toml
 
+pytestmark = pytest.mark.slow
+
 CASES = ROOT / "tests" / "data" / "cases"
 SHIPPED = ROOT / "bench" / "rigs" / "calibration.toml"
 DRAWN = [Phase.generate]  # to shrink a calibration takes minutes
@@ -158,7 +160,6 @@ def metres(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_a_baseline_in_metres_is_not_the_detectors_fault(
     metres: Path, tmp_path: Path, said: Said
 ) -> None:
@@ -182,7 +183,6 @@ def test_a_baseline_in_metres_is_not_the_detectors_fault(
     assert "looks like metres" in said(2, "detect {} --detector fused", metres).err
 
 
-@pytest.mark.slow
 def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(ROOT / "tests" / "data" / "path_traced", tmp_path / "rec"))
     assert doubts_of(Recording(folder), load_calibration(folder / "calibration.toml")) == ()
@@ -195,7 +195,6 @@ def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path) -> None:
     assert why in "; ".join(found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "why"),
     [

@@ -12,7 +12,7 @@ import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from tests.bench.test_config import rig_with
@@ -34,7 +34,9 @@ SAYS: list[tuple[str, str, str, type[InstrumentError], str]] = [
 
 
 @contextmanager
-def running(folder: Path, profile: str, name: str, more: str) -> Iterator[tuple[EmulatedRig, Bath]]:
+def running(
+    folder: Path, profile: str, name: str, more: str
+) -> Iterator[tuple[EmulatedRig, OwnBath]]:
     """A bath that holds 33 degC, shortly before its fault comes."""
     path = rig_with(folder, {'profile = "julabo-presto"': f'profile = "{profile}"'})
     text = path.read_text(encoding="utf-8")
@@ -44,7 +46,7 @@ def running(folder: Path, profile: str, name: str, more: str) -> Iterator[tuple[
     rig, clock = load_rig(path), VirtualClock()
     with (
         EmulatedRig(rig, clock, seed=1) as twin,
-        closing(Bath(twin.urls["bath"], rig.profile, clock, unit_confirmed=True)) as bath,
+        closing(OwnBath(twin.urls["bath"], rig.profile, clock, unit_confirmed=True)) as bath,
     ):
         bath.start(33.0)
         clock.sleep(AT_S - 1.0 - clock.now())

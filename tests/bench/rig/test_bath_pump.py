@@ -22,6 +22,8 @@ from tests.bench.real_rig import script_of
 from tests.bench.rig.test_bath_profiles import rig_of
 from tests.examples import few
 
+pytestmark = pytest.mark.slow
+
 FAULT = """
 [[emulation.faults]]
 instrument = "pump"
@@ -40,7 +42,6 @@ def tripped(rig: Path, folder: Path) -> dict[str, Any]:
     return trip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault", few(["silence", "power cut"], 2))
 def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
     rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name=fault, at_s=200.0), relay=True)
@@ -51,7 +52,6 @@ def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path: Path) -> None:
     """After a short power cut the relay answers again, and says that it is off."""
     wish = FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n"
@@ -62,7 +62,6 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
     assert 200.0 <= trip["t_s"] <= 203.0
 
 
-@pytest.mark.slow
 def test_a_pump_that_is_not_fitted_is_reported_and_not_pretended(tmp_path: Path) -> None:
     rig, clock = load_rig(rig_of(tmp_path, "eurotherm-3200")), VirtualClock()
     with (
@@ -80,7 +79,6 @@ def test_a_pump_that_is_not_fitted_is_reported_and_not_pretended(tmp_path: Path)
         assert float(plant.teat_c.max()) == 20.0
 
 
-@pytest.mark.slow
 def test_the_relay_listens_on_a_port_of_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

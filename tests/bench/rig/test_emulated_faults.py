@@ -18,7 +18,7 @@ from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.unit import SHIPPED
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from tests.bench.operated_runs import shipped_rig
 
 
@@ -120,5 +120,5 @@ def test_serial_instruments_on_pseudo_terminals(tmp_path: Path) -> None:
         assert rig.urls["bath"].startswith("tcp://127.0.0.1:")
         with closing(MicroScribe(Link(rig.urls["arm"], clock, who="arm"), clock)) as arm:
             assert arm.sign_on().serial_number == "40937"
-        with closing(Stage(Link(rig.urls["stage"], clock, who="stage"), clock)) as stage:
+        with closing(OwnStage(Link(rig.urls["stage"], clock, who="stage"), clock)) as stage:
             stage.connect()

@@ -26,6 +26,8 @@ from tests.examples import few
 from tests.instruments.camera.small_world import GalleryWorld, SmallWorld
 from tests.situations import SITUATIONS, situation
 
+pytestmark = pytest.mark.slow
+
 SHOWN = [fault for fault in FAULTS if fault not in KEPT_BACK]
 
 
@@ -43,7 +45,6 @@ def checks(**changed: Any) -> FrameChecks:
     return FrameChecks(table(rig.checks.model_copy(update=changed)), calibration())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", few(SITUATIONS, 4))
 def test_no_false_alarm_in_any_situation(name: str) -> None:
     cameras, looks = EmulatedCameras(SmallWorld(situation(name))), checks()
@@ -51,7 +52,6 @@ def test_no_false_alarm_in_any_situation(name: str) -> None:
         assert looks.notice(cameras.capture()) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seed"), [("dim_light", 2), ("low_contrast", 1)])
 def test_no_false_alarm_in_scenes_that_are_hard_to_see(name: str, seed: int) -> None:
     drawn = drawn_situation(name, seed)
@@ -59,7 +59,6 @@ def test_no_false_alarm_in_scenes_that_are_hard_to_see(name: str, seed: int) -> 
     assert checks().notice(EmulatedCameras(SmallWorld(state)).capture()) == []
 
 
-@pytest.mark.slow
 def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> None:
     """Frames of all eleven situations from a program that shares no code with the bench; each of
     them swapped is noticed.
@@ -75,7 +74,6 @@ def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> Non
     assert len({recording.truth[frame][0].situation for frame in recording.frames[::3]}) == 11
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["right", "thermal"])
 def test_each_fault_of_another_camera(camera: str) -> None:
     """One after the other, each for one set; between two the set is good again."""
@@ -120,7 +118,6 @@ def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -
             assert str(one).index("is the bath warm?") < str(one).index("shutter")
 
 
-@pytest.mark.slow
 def test_looks_can_be_left_out() -> None:
     cameras = EmulatedCameras(GalleryWorld())
     looks = checks(frozen=False, swapped=False, focus_px=FocusTable())
@@ -130,7 +127,6 @@ def test_looks_can_be_left_out() -> None:
         assert looks.notice(cameras.capture()) == []
 
 
-@pytest.mark.slow
 def test_a_depth_pictures_faults_are_noticed_and_rows_without_measurement_are_none() -> None:
     deep = load_rig(find_rig("emulated-depth"))
     frames = EmulatedCameras(GalleryWorld()).capture()

@@ -14,9 +14,9 @@ from instruments.clock import RealClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
 from instruments.listener import Listener
-from instruments.stage.driver import Spoken, Stage
+from instruments.stage.driver import OwnStage, Spoken
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import CLASSIC, MARLIN, Dialect
+from instruments.stage.emulator.store import CLASSIC, MARLIN, Firmware
 from tests.waiting import PATIENCE_S, within
 
 pytestmark = pytest.mark.slow
@@ -35,7 +35,7 @@ def stopped(target: StageTarget, clock: RealClock) -> dict[str, object]:
 
 @pytest.mark.parametrize(("dialect", "spoken"), [(CLASSIC, "grbl"), (MARLIN, "marlin")])
 @pytest.mark.parametrize("homes", [False, True], ids=["in a move", "while it homes"])
-def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, homes: bool) -> None:
+def test_it_stops_a_stage_of_each_firmware(dialect: Firmware, spoken: Spoken, homes: bool) -> None:
     steps = {100: 250.0, 101: 250.0}
     with closing(RealClock()) as clock:
         device = StageEmulator(clock, settings=steps if homes else FAST | steps, dialect=dialect)
@@ -44,7 +44,7 @@ def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, hom
             closing(Listener(device, clock, lock=lock, name="stage")) as listener,
             closing(Link(listener.url, clock, who="stage")) as link,
         ):
-            stage = Stage(link, clock, "XY", dialect=spoken)
+            stage = OwnStage(link, clock, "XY", dialect=spoken)
             stage.connect()
             owner = threading.Thread(target=_homes if homes else _moves, args=(stage,))
             owner.start()
@@ -62,12 +62,12 @@ def _moving(device: StageEmulator) -> bool:
     return not np.allclose(before, device.position_mm())
 
 
-def _homes(stage: Stage) -> None:
+def _homes(stage: OwnStage) -> None:
     with suppress(InstrumentError):  # its link is taken from it
         stage.home()
 
 
-def _moves(stage: Stage) -> None:
+def _moves(stage: OwnStage) -> None:
     with suppress(InstrumentError):
         stage.home()
         x_mm, y_mm = stage.position()[:2]

@@ -135,7 +135,6 @@ def test_whoever_has_taken_a_hot_bath_over_stands_for_it(hot: HotBath, baths: Pa
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="stops a process with a POSIX signal")
 def test_one_that_does_not_answer_is_ended(hot: HotBath, baths: Path) -> None:
     hot.emulator.fault("silence")
@@ -232,7 +231,6 @@ def test_who_waits_is_seen_as_long_as_it_waits(baths: Path) -> None:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_of_two_that_ask_at_once_one_gets_the_bath(hot: HotBath, baths: Path) -> None:
     hot.emulator.fault("silence")
     command = [sys.executable, "-m", "bench.rig.guardian", "--profile=julabo-presto"]

@@ -30,6 +30,8 @@ from tests.chromium import Scheme, browser_page, violations, weak_texts
 from tests.ports import free_ports
 from tests.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.slow
+
 ALL = ("arm", "bath", "stage", "cameras")
 SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 
@@ -117,7 +119,6 @@ def post(url: str, words: str, **headers: str) -> str:
         return str(answer.read().decode("utf-8"))
 
 
-@pytest.mark.slow
 def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,7 +148,6 @@ def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
 
 
 @pytest.mark.browser
-@pytest.mark.slow
 def test_the_page_follows_the_cables_and_can_be_read_by_everybody(tmp_path: Path) -> None:
     with browser_page() as seen:
         page = seen.page

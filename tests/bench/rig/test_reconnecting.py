@@ -15,10 +15,12 @@ from bench.rig.arm_files import load_verification
 from bench.truth.registration import load_registration
 from instruments.errors import DeviceError, InstrumentError, LinkError
 from instruments.microscribe.driver import MicroScribe, Reading
-from instruments.stage.calls import StageCalls
+from instruments.stage.calls import Stage
 from tests.bench.commands import Person, Said, teatbench
 from tests.bench.operated_runs import shipped_rig
 from tests.bench.truth.test_truth_runs import CARRY, done, script_in
+
+pytestmark = pytest.mark.slow
 
 AGAIN = "The arm was lost: put its stylus on its peg"
 SAME = "It shows whether those before count."
@@ -64,7 +66,6 @@ def silent(who: str = "arm") -> LinkError:
         ),
     ],
 )
-@pytest.mark.slow
 def test_an_arm_that_is_lost_amid_its_own_commands_costs_the_touch_under_way(
     tmp_path: Path, monkeypatch: Patch, command: str, prompts: list[str], at: int, verb: str
 ) -> None:
@@ -82,7 +83,6 @@ def test_an_arm_that_is_lost_amid_its_own_commands_costs_the_touch_under_way(
     assert count["done"]
 
 
-@pytest.mark.slow
 def test_a_frame_is_touched_anew_where_the_arm_homes_elsewhere(
     tmp_path: Path, monkeypatch: Patch
 ) -> None:
@@ -110,7 +110,6 @@ def test_a_frame_is_touched_anew_where_the_arm_homes_elsewhere(
     assert person.text.count("  read ") == 8
 
 
-@pytest.mark.slow
 def test_what_an_arms_command_had_is_kept_or_named_where_it_does_not_end(
     tmp_path: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,7 +136,6 @@ def test_what_an_arms_command_had_is_kept_or_named_where_it_does_not_end(
     assert "Touched so far, and lost: origin." in person.text
 
 
-@pytest.mark.slow
 def test_a_registration_goes_on_where_arm_or_stage_were_lost(
     tmp_path: Path, monkeypatch: Patch, said: Said
 ) -> None:
@@ -149,7 +147,7 @@ def test_a_registration_goes_on_where_arm_or_stage_were_lost(
     monkeypatch.undo()
     reads = losing(monkeypatch, MicroScribe, "read", {4: silent(), 7: silent()})
     jam = DeviceError("stage", "alarm 1: hard limit")
-    losing(monkeypatch, StageCalls, "move_to", {3: silent("stage"), 5: jam})
+    losing(monkeypatch, Stage, "move_to", {3: silent("stage"), 5: jam})
     shown = said(0, command, rig, tmp_path / "broken.toml").out
     assert reads["done"] == touched, "no touch is made twice"
     assert shown.count(BACK) == 2
@@ -157,7 +155,6 @@ def test_a_registration_goes_on_where_arm_or_stage_were_lost(
     assert len(load_registration(tmp_path / "broken.toml").stations) == 5
 
 
-@pytest.mark.slow
 def test_a_run_that_registers_its_stage_keeps_the_stations_that_it_has(
     tmp_path: Path, monkeypatch: Patch
 ) -> None:
@@ -173,7 +170,6 @@ def test_a_run_that_registers_its_stage_keeps_the_stations_that_it_has(
     assert reads["done"] == touched
 
 
-@pytest.mark.slow
 def test_a_program_keeps_the_ends_that_were_touched(monkeypatch: Patch) -> None:
     reads, warned = losing(monkeypatch, MicroScribe, "read", {5: silent()}), list[str]()
     with bench.open_rig(instruments=("arm", "stage", "operator"), warn=warned.append) as rig:

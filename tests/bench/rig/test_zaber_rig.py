@@ -13,9 +13,9 @@ from bench.rig.model import StageTable
 from bench.rig.practice import served_text
 from instruments.world.phantom import PlatePose
 from tests.bench.rig.test_emulated_stage import homed, rig_with
-from tests.instruments.bath.peers import foreign
+from tests.instruments.bath.peers import needed
 
-foreign("zaber_motion", "zaber-motion")
+needed("zaber_motion", "zaber-motion")
 
 PLACES = "reference_mm = [150.0, 137.5]\nreference_a_deg = 90.0\n"
 FORMER = """dialect = "zaber"

@@ -15,9 +15,8 @@ import pytest
 from tests.bench.calibrate.arm_terminal import Terminal, at_terminal
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, files, run_of
 
-pytestmark = pytest.mark.skipif(
-    sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
-)
+NEEDED = "needs a pseudo-terminal, which Windows has not"
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason=NEEDED)]
 
 ENTER = ""
 ABORT_KEY = "a = abort the run): "
@@ -35,7 +34,6 @@ def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
     return said
 
 
-@pytest.mark.slow
 def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
     with started(tmp_path, touches=2, check_point=CHECK_POINT) as terminal:
         answer(terminal, "Put the arm's stylus on its peg", "what?")
@@ -68,7 +66,6 @@ def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
     assert [row["reason"] for row in record.skipped] == ["the hose came off"]
 
 
-@pytest.mark.slow
 def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: Path) -> None:
     fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 20.0'
     with started(tmp_path, operator_more="remind_s = 0.5", emulation=fault) as terminal:

@@ -46,7 +46,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.microscribe.driver import MicroScribe, Reading
 from instruments.microscribe.errors import AnotherArmError, SilentArmError
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.commands import Said
 from tests.bench.fault_catalogue import Bringer, known_to
@@ -63,6 +63,8 @@ from tests.bench.operated_runs import (
 )
 from tests.bench.small_run import KEPT
 from tests.examples import few
+
+pytestmark = pytest.mark.slow
 
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
 
@@ -86,7 +88,6 @@ def given(words: str, folder: Path, emulation: str) -> RunRecord:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path: Path) -> None:
     """The stage comes back without its place: no trial may move it before it has homed."""
     record = given("skip it is gone", tmp_path, fault("stage", "silent", 55.0, 60.0))
@@ -99,7 +100,6 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_touch(
     tmp_path: Path,
 ) -> None:
@@ -116,7 +116,6 @@ def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_t
     assert sum(touch["t_s"] < lost_s for touch in touches) == 2
 
 
-@pytest.mark.slow
 def test_an_abort_is_taken_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
     record = given("abort", tmp_path, fault("arm", "silent", 0.1))
     assert (record.ending, len(record.trials)) == ("aborted", 0)
@@ -136,7 +135,6 @@ class When(Bringer):
             self.twin._clock.call_at(self.at_s, self.bring)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("blocked", "noticed"), few([(2, 2), (1, 3)], 2))
 def test_a_move_that_is_blocked_is_noticed_by_touched_ends(
     blocked: int, noticed: int, tmp_path: Path
@@ -159,7 +157,6 @@ def test_a_move_that_is_blocked_is_noticed_by_touched_ends(
     assert all(doubt.endswith(f"stood in {TRIALS[0]}, {TRIALS[1]}") for doubt in doubts)
 
 
-@pytest.mark.slow
 def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Path) -> None:
     """What comes behind the last trial is done again like a trial is."""
     files(tmp_path, check_point=CHECK_POINT, emulation="prompt_s = 2.0")
@@ -195,7 +192,6 @@ def touched_by(homed_alike: bool, folder: Path, monkeypatch: pytest.MonkeyPatch)
     return record
 
 
-@pytest.mark.slow
 def test_touches_count_where_an_arm_that_was_homed_again_finds_its_check_point(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,7 +207,6 @@ def test_touches_count_where_an_arm_that_was_homed_again_finds_its_check_point(
     assert "(1 new: nothing has moved since the others)" in amid
 
 
-@pytest.mark.slow
 def test_touches_go_where_an_arm_that_was_homed_again_misses_its_check_point(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,7 +217,6 @@ def test_touches_go_where_an_arm_that_was_homed_again_misses_its_check_point(
     assert "are dropped: the check point is 5.2" in dropped
 
 
-@pytest.mark.slow
 def test_touches_go_where_a_rig_without_a_check_point_homes_its_arm_again(tmp_path: Path) -> None:
     files(tmp_path, emulation="prompt_s = 5.0")
     loss = EmulatedFault(instrument="arm", name="power loss", for_s=15.0)
@@ -233,46 +227,44 @@ def test_touches_go_where_a_rig_without_a_check_point_homes_its_arm_again(tmp_pa
     assert texts(record, "touches")[1].endswith("and the rig has no check point (docs/rig.md)")
 
 
-@pytest.mark.slow
 def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The trip comes while the stage is connected anew: nothing may move from then on."""
     files(tmp_path, stage=STAGE, emulation=fault("stage", "silent", 45.0, 30.0))
     low_level = Bringer("", EmulatedFault(instrument="bath", name="low level", for_s=600.0))
-    reconnect, home, wait = Stage.reconnect, Stage.home, RunContext.wait
+    reconnect, home, wait = OwnStage.reconnect, OwnStage.home, RunContext.wait
     contexts, homings = list[RunContext](), list[bool]()
 
     def noted(ctx: RunContext, seconds: float) -> None:
         contexts.append(ctx)
         wait(ctx, seconds)
 
-    def slow(stage: Stage) -> None:
+    def slow(stage: OwnStage) -> None:
         reconnect(stage)
         low_level.bring()
         while contexts[-1].watch.tripped is None:
             contexts[-1].clock.sleep(1.0)
 
-    def homed(stage: Stage) -> None:
+    def homed(stage: OwnStage) -> None:
         homings.append(bool(contexts) and contexts[-1].watch.tripped is not None)
         home(stage)
 
     monkeypatch.setattr(RunContext, "wait", noted)
-    monkeypatch.setattr(Stage, "reconnect", slow)
-    monkeypatch.setattr(Stage, "home", homed)
+    monkeypatch.setattr(OwnStage, "reconnect", slow)
+    monkeypatch.setattr(OwnStage, "home", homed)
     record = ended(tmp_path, low_level)
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "controller alarm")
     assert homings == [False], "once, to prepare"
 
 
-@pytest.mark.slow
 def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A trip between two trials, of a bath whose last reading was a stable one."""
     files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
     refusing = Bringer("", EmulatedFault(instrument="bath", name="gaps refused", for_s=600.0))
-    before, move, moved = TouchedTruth.before, Stage.move_to, list[bool]()
+    before, move, moved = TouchedTruth.before, OwnStage.move_to, list[bool]()
 
     def trips(truth: TouchedTruth, shown: ExpectedScene) -> None:
         before(truth, shown)
@@ -281,18 +273,17 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
             refusing.bring()
             truth.toucher.clock.sleep(30.0)
 
-    def noted(stage: Stage, **where: float | None) -> None:
+    def noted(stage: OwnStage, **where: float | None) -> None:
         moved[-1] = True
         move(stage, **where)  # type: ignore[arg-type]
 
     monkeypatch.setattr(TouchedTruth, "before", trips)
-    monkeypatch.setattr(Stage, "move_to", noted)
+    monkeypatch.setattr(OwnStage, "move_to", noted)
     record = ended(tmp_path, refusing)
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "implausible reading")
     assert moved == [True, False]
 
 
-@pytest.mark.slow
 def test_one_that_fails_again_each_time_it_is_back_ends_the_run_after_the_tables_tries(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,7 +333,6 @@ NARROW = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) -> None:
     dead = fault("bath", "dead heater", 855.0, 105.0).replace("prompt_s = 5.0", "prompt_s = 120.0")
     record = record_of(tmp_path, script=NARROW, emulation=dead)
@@ -361,7 +351,6 @@ def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) 
     assert max(latency.seconds) < 60.0 <= late.head["ended_s"] - late.head["started_s"]
 
 
-@pytest.mark.slow
 def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -396,7 +385,6 @@ def run_with(person: Person, folder: Path) -> RunRecord:
     return record_of(folder, person, emulation="prompt_s = 5.0")
 
 
-@pytest.mark.slow
 def test_a_pause_lasts_until_somebody_says_to_go_on_and_has_no_trial_to_skip(
     tmp_path: Path,
 ) -> None:
@@ -414,7 +402,6 @@ def test_a_pause_lasts_until_somebody_says_to_go_on_and_has_no_trial_to_skip(
         assert any(words in text for text in person.warned), words
 
 
-@pytest.mark.slow
 def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_path: Path) -> None:
     lines = ["", "repeat the plate was touched", *[""] * 5, "skip it leaks"]
     run = run_with(Person("place-2", lines), tmp_path)
@@ -462,7 +449,6 @@ def test_words() -> None:
     assert [parse_request(words) for words in ("P", "go", "s  a  b", "a")] == meant
 
 
-@pytest.mark.slow
 def test_words_that_mean_nothing_are_reported_and_change_nothing(
     tmp_path: Path, said: Said
 ) -> None:
@@ -484,7 +470,6 @@ TERMINAL = pytest.mark.skipif(
 )
 
 
-@pytest.mark.slow
 @TERMINAL
 def test_a_run_that_waits_at_a_prompt_takes_requests_of_another_terminal(
     tmp_path: Path, said: Said
@@ -563,7 +548,6 @@ class Unplugging(Bringer):
             raise KeyboardInterrupt
 
 
-@pytest.mark.slow
 def test_a_camera_that_drops_out_while_the_bench_waits_is_noticed_then(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -591,7 +575,6 @@ def test_a_camera_that_drops_out_while_the_bench_waits_is_noticed_then(
     assert states[:5] == ["preparing", "settling", "paused", "settling", "running"]
 
 
-@pytest.mark.slow
 def test_water_that_is_cold_is_said_once_and_sends_nobody_to_the_cameras(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,6 +47,8 @@ from tests.bench.run.test_kills import (
     seen,
 )
 
+pytestmark = pytest.mark.slow
+
 ASK = EmulatedOperator.ask
 LONG_S, SHORT_S = 1800.0, 30.0  # that the operator takes for one prompt
 LOOK_S = 3.0  # and what is back is seen by then
@@ -180,7 +182,6 @@ def began(folder: Path, watch: Person, names: Sequence[str] = ("script",)) -> li
         return [run for run, _ in run_queue(rig, scripts, folder / "runs", progress, how)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["touch", "set up"])
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_an_instrument_that_comes_back_amid_a_prompt(
@@ -197,7 +198,6 @@ def test_an_instrument_that_comes_back_amid_a_prompt(
     assert not any(one.trouble for status in since for one in status.instruments)
 
 
-@pytest.mark.slow
 def test_a_prompt_of_half_an_hour(tmp_path: Path) -> None:
     watch = Moment("arm", "", "never", kind="touch", long_s=LONG_S, lost=False)
     began(tmp_path, watch)
@@ -215,7 +215,6 @@ def test_a_prompt_of_half_an_hour(tmp_path: Path) -> None:
         assert bath.age_s <= 2 * PERIOD_S
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("instrument", "second"),
     [("arm", "stage"), ("stage", "arm"), ("arm", "bath"), ("stage", "bath"), ("cameras", "bath")],
@@ -237,7 +236,6 @@ def test_a_second_instrument_is_lost_while_the_first_is_opened_again(
     compare_the_surfaces(run, status, watch)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_an_instrument_is_lost_as_a_resumed_run_is_set_up(instrument: str, tmp_path: Path) -> None:
     stopped = Person("place-2", ["abort"])
@@ -254,7 +252,6 @@ def test_an_instrument_is_lost_as_a_resumed_run_is_set_up(instrument: str, tmp_p
     assert said == [(one["kind"], one["text"]) for one in read_run(run).events]
 
 
-@pytest.mark.slow
 def test_between_the_last_trial_and_the_report_and_between_two_scripts(tmp_path: Path) -> None:
     """The first run has ended, its report isn't written, and the bath stays warm for the second."""
     moments, own = [], run_start._begun

@@ -112,6 +112,7 @@ def test_each_kind_says_the_runs_status(
     assert found == (None if title is None else (title, "\n".join(lines)))
 
 
+@pytest.mark.slow
 def test_one_of_a_kind_at_a_time_and_a_dead_address_is_said_once() -> None:
     warned: list[str] = []
     with phone() as (url, came):

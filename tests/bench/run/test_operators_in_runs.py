@@ -16,6 +16,8 @@ from instruments.world.phantom import PlatePose
 from tests.bench.operated_runs import CHECK_POINT, files, record_of, run, texts
 from tests.plain_text import plain_text
 
+pytestmark = pytest.mark.slow
+
 WILLING = (
     "otherwise homing: go\notherwise check point: go\notherwise set up: go\notherwise touch: go\n"
 )
@@ -33,7 +35,6 @@ def page_of(record: RunRecord) -> str:
     return plain_text(record.folder / "report" / "index.html")
 
 
-@pytest.mark.slow
 def test_a_skipped_trial_leaves_the_counts_and_is_reported_with_its_reason(tmp_path: Path) -> None:
     why = "the teat came off"
     code, record = answered(tmp_path, f"{WILLING}touch (trial 2 of 3, teat 3): skip {why}\n")
@@ -48,7 +49,6 @@ def test_a_skipped_trial_leaves_the_counts_and_is_reported_with_its_reason(tmp_p
     assert "on 2 frame sets of 2 poses" in page
 
 
-@pytest.mark.slow
 def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     answers = "otherwise homing: go\notherwise set up: skip no phantom here\n"
     code, record = answered(tmp_path, answers)
@@ -57,7 +57,6 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     assert 'name="bath"' in (record.folder / "report" / "junit.xml").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 def test_a_script_that_does_not_fit_the_run_faults_it(tmp_path: Path) -> None:
     code, record = answered(tmp_path, "homing: go\ntouch: go\n")
     assert (code, record.ending) == (3, "faulted")
@@ -78,7 +77,6 @@ def exact_ends(record: RunRecord) -> np.ndarray:
     )
 
 
-@pytest.mark.slow
 def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

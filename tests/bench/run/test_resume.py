@@ -199,7 +199,6 @@ def test_a_trial_that_killed_the_bench_twice_is_skipped_and_reported(
     assert "died in it 2 times" in page
 
 
-@pytest.mark.slow
 def test_of_a_finished_run_a_report_may_be_left_and_its_states_are_in_its_record(
     undisturbed: tuple[Path, int], said: Said, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -26,7 +26,7 @@ from bench.script.planned_trials import PlannedTrial
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError
 from instruments.operators.operator import DONE, Answer, NextTrial, Request
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.world.phantom import PIVOT_MM
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import files, shipped_rig
@@ -169,13 +169,13 @@ def test_the_phantom_stands_where_the_script_says_reached_from_the_sides_that_ar
 ) -> None:
     """The stage of two axes leaves height and turn to the operator."""
     went: list[tuple[float, float]] = []
-    begin = Stage.begin_move
+    begin = OwnStage.begin_move
 
-    def noted(self: Stage, x_mm: float, y_mm: float, **more: float | None) -> None:
+    def noted(self: OwnStage, x_mm: float, y_mm: float, **more: float | None) -> None:
         went.append((x_mm, y_mm))
         begin(self, x_mm, y_mm, **more)
 
-    monkeypatch.setattr(Stage, "begin_move", noted)
+    monkeypatch.setattr(OwnStage, "begin_move", noted)
     loaded = script(tmp_path, 'approach = ["+x", "-y"]\napproach_mm = 4.0\n')
     record = run(rig(tmp_path), loaded, tmp_path / "runs")
     to = [(-140.0, -142.5), (-153.0, -137.5)]  # the reference place is (-150, -137.5)

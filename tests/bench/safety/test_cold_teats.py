@@ -19,6 +19,8 @@ from tests.bench.operated_runs import ONE, STAGE, files
 from tests.bench.safety.wide_scripts import RELAY, wide
 from tests.examples import few
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = sorted(  # of a bath: one only computes
     path.stem for path in TRIALS.glob("*.toml") if "[bath]" in path.read_text(encoding="utf-8")
 )
@@ -66,7 +68,6 @@ def nothing_met(script: str, case: tuple[str, str, float, float], folder: Path) 
     assert "bath is safe" in [event["text"] for event in run.events]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", few([(case,) for case in CASES[1::2]], 4), ids=lambda case: f"{case[0]}, {case[1]}"
 )
@@ -75,7 +76,6 @@ def test_no_trial_is_captured(case: tuple[str, str, float, float], tmp_path: Pat
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]}, {case[1]}, {case[3]:g} s")
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_nor_in_any_script_that_ships(
@@ -84,7 +84,6 @@ def test_nor_in_any_script_that_ships(
     nothing_met(script, case, tmp_path)
 
 
-@pytest.mark.slow
 def test_teats_that_cool_in_a_run_end_it(tmp_path: Path) -> None:
     """All is warm at first, and only the thermal camera shows the teats."""
     poses = ", ".join("{}" for _ in range(20))
@@ -102,7 +101,6 @@ def test_teats_that_cool_in_a_run_end_it(tmp_path: Path) -> None:
     assert lost_k < 1.0 + 2.0 + 0.5, "before the first look, since then, and in one trial"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("camera", [True, False])
 def test_teats_that_nothing_shows_leave_the_bath_inconclusive(
     camera: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]

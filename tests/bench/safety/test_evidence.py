@@ -28,7 +28,7 @@ from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError
 from instruments.link import Link
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.board import StageEmulator
 from instruments.stage.emulator.store import CLASSIC
 from instruments.stage.protocol import HOLD
@@ -41,19 +41,19 @@ from tests.waiting import PATIENCE_S
 
 
 @contextmanager
-def homed() -> Iterator[tuple[StageEmulator, Stage]]:
+def homed() -> Iterator[tuple[StageEmulator, OwnStage]]:
     with (
         served(lambda clock: StageEmulator(clock, dialect=CLASSIC)) as (device, url),
         closing(RealClock()) as clock,
         closing(Link(url, clock, who="stage")) as link,
     ):
-        stage = Stage(link, clock)
+        stage = OwnStage(link, clock)
         stage.connect()
         yield device, stage
 
 
 @contextmanager
-def peer(answer: Callable[[socket.socket], None]) -> Iterator[Stage]:
+def peer(answer: Callable[[socket.socket], None]) -> Iterator[OwnStage]:
     """A stage at a port of which ``answer`` has the other end."""
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
@@ -63,7 +63,7 @@ def peer(answer: Callable[[socket.socket], None]) -> Iterator[Stage]:
         theirs, _ = server.accept()
         with theirs:
             answer(theirs)
-            yield Stage(link, clock)
+            yield OwnStage(link, clock)
 
 
 def test_a_stage_that_stands_says_so_itself() -> None:
@@ -81,6 +81,7 @@ def test_a_closed_link_takes_the_first_write_and_holds_no_stage() -> None:
     assert found.texts[0].startswith("stage could not be made safe: stage at socket:")
 
 
+@pytest.mark.slow
 def test_a_stage_that_takes_the_byte_and_answers_nothing_is_not_held() -> None:
     with peer(lambda theirs: None) as stage:
         stage.brake()
@@ -89,6 +90,7 @@ def test_a_stage_that_takes_the_byte_and_answers_nothing_is_not_held() -> None:
     assert "no status report" in found.detail
 
 
+@pytest.mark.slow
 def test_amid_a_question_of_its_owner_the_brake_is_sent_and_not_acknowledged() -> None:
     said = "stage: the order to brake was sent, not acknowledged"
     with homed() as (_, stage):
@@ -125,6 +127,7 @@ def test_what_was_told_to_stop_is_nobodys_to_switch_off_while_the_run_goes_to_sa
     assert RunContext._instrument(run, "stage").by_hand == BY_HAND["stage"]
 
 
+@pytest.mark.slow
 def test_an_alarm_of_before_is_no_word_of_a_stage_that_has_gone() -> None:
     theirs: list[socket.socket] = []
     with peer(theirs.append) as stage:

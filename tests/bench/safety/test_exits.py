@@ -36,7 +36,7 @@ from bench.safety.signals import (
     undisturbed,
     windows_register,
 )
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.profile import load_profile
 from instruments.bath.sequence import heater_off
 from instruments.clock import VirtualClock
@@ -306,8 +306,8 @@ class System:
 
 
 @pytest.fixture
-def bath(hot: HotBath) -> Iterator[Bath]:
-    with closing(Bath(hot.url, load_profile("julabo-presto"), hot.clock)) as opened:
+def bath(hot: HotBath) -> Iterator[OwnBath]:
+    with closing(OwnBath(hot.url, load_profile("julabo-presto"), hot.clock)) as opened:
         opened.start(33.0)
         yield opened
 
@@ -330,7 +330,7 @@ def test_the_handler_is_there_while_the_bench_is_and_needs_no_bath() -> None:
     ],
 )
 def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_waits(
-    event: int, word: str, hot: HotBath, bath: Bath
+    event: int, word: str, hot: HotBath, bath: OwnBath
 ) -> None:
     system = System()
     with installed(system.register) as exits:
@@ -350,7 +350,7 @@ def test_ctrl_c_and_ctrl_break_are_left_to_python() -> None:
 
 @pytest.mark.slow
 def test_a_bath_that_does_not_answer_takes_no_longer_than_windows_grants(
-    hot: HotBath, bath: Bath
+    hot: HotBath, bath: OwnBath
 ) -> None:
     hot.emulator.fault("silence")
     system = System()

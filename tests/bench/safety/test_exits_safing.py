@@ -13,14 +13,14 @@ from bench.rig.by_hand import not_safe_text
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.opening import open_instruments
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Row
 from instruments.bath.sequence import heater_off, pump_on, pump_text, run_pump_on, start_bath
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import STAGE, files
 from tests.bench.safety.calm import CALM
@@ -43,7 +43,7 @@ def profile(pump: Literal["none", "with run", "own"]) -> Profile:
     return base.model_copy(update={"capabilities": capabilities, "rows": (*base.rows, row)})
 
 
-class Noted(Bath):
+class Noted(OwnBath):
     """A bath without a wire that notes what it is told, and when."""
 
     def __init__(self, pump: Literal["none", "with run", "own"], alarm: int = 0) -> None:
@@ -212,10 +212,10 @@ def test_a_trip_switches_the_heater_off_whatever_braking_the_stage_raises(
     low_level = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 45.0'
     files(tmp_path, stage=STAGE, emulation=f"prompt_s = 5.0\n{low_level}")
 
-    def fails(_: Stage) -> None:
+    def fails(_: OwnStage) -> None:
         raise ValueError("a bug")
 
-    monkeypatch.setattr(Stage, "brake", fails)
+    monkeypatch.setattr(OwnStage, "brake", fails)
     progress = Silent()
     record = read_run(start(tmp_path, progress=progress)[0])
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "controller alarm")

@@ -23,7 +23,7 @@ from bench.rig.guardian import DONE, HeartbeatReader
 from bench.rig.guardian import main as guardian
 from bench.rig.guardian_client import BEAT_S, UNANSWERED, GuardianClient, GuardianTarget, Heartbeat
 from bench.rig.watched_bench import WatchedBench
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
 from instruments.link import Link
@@ -116,15 +116,15 @@ def granted(code: str, yes: Any, no: Any) -> Any:
 def test_a_mistake_in_one_try_does_not_end_the_guardian(
     hot: HotBath, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    safe, tries = Bath.safe, list[int]()
+    safe, tries = OwnBath.safe, list[int]()
 
-    def fails_once(bath: Bath) -> None:
+    def fails_once(bath: OwnBath) -> None:
         tries.append(1)
         if len(tries) == 1:
             raise ValueError("a bug")
         safe(bath)
 
-    monkeypatch.setattr(Bath, "safe", fails_once)
+    monkeypatch.setattr(OwnBath, "safe", fails_once)
     read, write = os.pipe()
     os.close(write)
     with os.fdopen(read, encoding="utf-8") as end, monkeypatch.context() as patched:

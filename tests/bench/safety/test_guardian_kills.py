@@ -23,7 +23,7 @@ import pytest
 
 from bench.record.reader import RunRecord, read_run
 from bench.results.status import status_of
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, wall_time
 from tests.bench.real_rig import RealRig, real_rig
@@ -130,7 +130,7 @@ def kill_in(name: str, kill: str, folder: Path, recording: Path) -> Outcome:
 def run_state(url: str) -> str:
     """What a second client is told about the controller."""
     profile = load_profile("julabo-presto")
-    with closing(RealClock()) as clock, closing(Bath(url, profile, clock)) as bath:
+    with closing(RealClock()) as clock, closing(OwnBath(url, profile, clock)) as bath:
         return profile.row("run").label(bath.get("run"))
 
 

@@ -26,6 +26,8 @@ from tests.bench.operated_runs import ONE, SCRIPT, files, run, run_of
 from tests.bench.test_config import rig_with
 from tests.examples import few
 
+pytestmark = pytest.mark.slow
+
 FAULT = """
 [[emulation.faults]]
 instrument = "bath"
@@ -86,7 +88,6 @@ def heated(
         watch.stop()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "start_c", "at_s", "rule", "within_s"),
     few(
@@ -131,7 +132,6 @@ at_s = 30.0
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "rule"), [("stuck heater", "over-temperature"), ("silence", "communications lost")]
 )
@@ -157,7 +157,6 @@ def test_a_run_trips_at_the_limits_of_its_rig_file(
         assert 20.0 <= run.facts["trip"]["t_s"] - last[0] <= 20.0 + SILENT_LOOK_S
 
 
-@pytest.mark.slow
 def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
     limit = "\n[limits]\ndetection_timeout_s = 1e-6"
     assert main(files(tmp_path, emulation=limit, script=ONE)) == 0
@@ -169,7 +168,6 @@ def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
 SILENT_LOOK_S = 8.0  # a look at a bath that does not answer takes up to seven seconds
 
 
-@pytest.mark.slow
 def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
     short_script: Path, tmp_path: Path
 ) -> None:
@@ -187,7 +185,6 @@ def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
     assert run.events[-1]["t_s"] - trip["t_s"] >= 60.0
 
 
-@pytest.mark.slow
 def test_a_bath_that_freezes_near_its_set_point_is_never_stable(tmp_path: Path) -> None:
     """Its controller goes on working, its output moves: no evidence of its temperature."""
     at_s = 400.0
@@ -199,7 +196,6 @@ def test_a_bath_that_freezes_near_its_set_point_is_never_stable(tmp_path: Path) 
     assert "stable" not in {row["state"] for row in after}
 
 
-@pytest.mark.slow
 def test_the_report_has_temperatures_stability_and_the_teats_surface_at_every_capture(
     tmp_path: Path,
 ) -> None:

@@ -20,6 +20,8 @@ from instruments.world.plant import Plant, PlantConstants
 from tests.bench.safety.calm import CALM
 from tests.examples import few
 
+pytestmark = pytest.mark.slow
+
 SP = 33.0
 FAMILIES = tuple(profile_names())
 
@@ -62,7 +64,6 @@ def readings(
         )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", few(FAMILIES, 3))
 def test_a_sound_bath_of_every_family_is_never_accused(family: str) -> None:
     profile = load_profile(family)
@@ -79,7 +80,6 @@ def test_a_sound_bath_of_every_family_is_never_accused(family: str) -> None:
     assert gate.state is BathState.STABLE
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", KINDS.values())
 @pytest.mark.parametrize("frozen_s", [0.0, 900.0])
 def test_a_sensor_that_stands_closes_the_gate_and_trips_within_minutes(
@@ -112,7 +112,6 @@ def test_a_sensor_that_stands_closes_the_gate_and_trips_within_minutes(
         assert tripped_s <= frozen_s + LIFELESS_S + TURNS_WITHIN_S
 
 
-@pytest.mark.slow
 def test_tenths_of_a_fine_family_are_found_by_the_readings() -> None:
     """Some models show tenths: a bath that stands still at them is not accused as long as the
     sensor at the teats moves, and the sensor's steps are seen while it heats.

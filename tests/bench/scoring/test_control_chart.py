@@ -41,6 +41,7 @@ def test_limits_are_those_of_the_first_values() -> None:
     assert limits_of([1.0] * BASE, 0.01) == ControlLimits(1.0, 0.01, 0.01)
 
 
+@pytest.mark.slow
 def test_chance_alone_seldom_warns() -> None:
     rng, days = np.random.default_rng(1), np.arange(40.0).tolist()
     last = trends = 0

@@ -49,6 +49,7 @@ def places(rng: np.random.Generator) -> Floats:
     return rng.uniform(-100.0, 100.0, (N, 3))
 
 
+@pytest.mark.slow
 def test_squares_have_the_mean_and_the_variance_of_their_draws() -> None:
     rng = np.random.default_rng(1)
     truth = turned(places(rng))
@@ -63,6 +64,7 @@ def test_squares_have_the_mean_and_the_variance_of_their_draws() -> None:
     assert variance == pytest.approx(np.var(seen), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_mean_has_the_covariance_of_its_draws() -> None:
     rng = np.random.default_rng(2)
     truth, weights = turned(places(rng)), rng.uniform(0.0, 2.0 / N, N)
@@ -110,7 +112,6 @@ def accused(runs: int, *, with_truth: bool) -> dict[str, float]:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None:
     runs = examples(120)
     found = accused(runs, with_truth=True)
@@ -118,7 +119,6 @@ def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_without_the_truth_it_is_accused() -> None:
     found = accused(examples(120), with_truth=False)
     assert found["bias"] > 0.5, found

@@ -92,7 +92,6 @@ def test_chance_is_taken_for_a_trend_in_no_more_than_5_percent(same_place: bool)
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_the_chance_of_many_questions_is_that_of_one() -> None:
     """Adjusted together, each is judged far out, where groups - 1 degrees of freedom are too many:
     of these 20 questions of 16 poses one was then shown in 13 % of runs.

@@ -33,6 +33,8 @@ from tests.bench.real_rig import QUICK_HOMING
 from tests.bench.small_recording import write_recording
 from tests.undrawn import bare
 
+pytestmark = pytest.mark.slow
+
 pytest_plugins = ("pytester",)
 # where the project was installed since the plug-in came, pytest has it already
 THERE = bool(entry_points(group="pytest11", name="teatbench"))
@@ -147,7 +149,6 @@ def rig(pytester: pytest.Pytester) -> str:
     return str(write_small_rig(pytester.path))
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="it has no SIGALRM")
 def test_a_test_that_is_broken_off_from_outside_asks_nothing_more(
     pytester: pytest.Pytester, rig: str
@@ -177,7 +178,6 @@ def test_it_imports_nothing_before_it_is_asked(pytester: pytest.Pytester) -> Non
     result.assert_outcomes(passed=1)
 
 
-@pytest.mark.slow
 def test_a_rig_is_open_homed_and_safe_after_each_test(pytester: pytest.Pytester) -> None:
     program = """
         import pytest
@@ -201,7 +201,6 @@ def test_a_rig_is_open_homed_and_safe_after_each_test(pytester: pytest.Pytester)
     result.stdout.fnmatch_lines("*amid heating*")
 
 
-@pytest.mark.slow
 def test_a_real_rig_is_opened_and_homed_once_and_alone(pytester: pytest.Pytester) -> None:
     """Its cameras are no emulators: they play a recording."""
     path = Path(write_small_rig(pytester.path))
@@ -228,7 +227,6 @@ def test_a_real_rig_is_opened_and_homed_once_and_alone(pytester: pytest.Pytester
     result.stdout.fnmatch_lines("*run one at a time*")
 
 
-@pytest.mark.slow
 def test_what_is_not_safe_ends_the_session(pytester: pytest.Pytester) -> None:
     program = """
         def test_one(rig, monkeypatch):
@@ -299,7 +297,6 @@ def test_a_requirement_without_a_trial_is_said_not_to_be_decided(
     assert says not in listed.stdout.str()
 
 
-@pytest.mark.slow
 def test_trials_of_tests_are_a_run_with_a_verdict(pytester: pytest.Pytester, rig: str) -> None:
     program = f"""{SCENE}
 import pytest
@@ -338,7 +335,6 @@ def test_named(record_trial):
     run(pytester, program, "--rig", rig).stdout.fnmatch_lines("Recorded trials make one run: *")
 
 
-@pytest.mark.slow
 def test_no_requirement_is_met_beside_a_test_of_it_that_did_not_pass(
     pytester: pytest.Pytester, rig: str
 ) -> None:
@@ -394,7 +390,6 @@ def test_known():
     assert bench.read_run(folder).facts["command"].split()[0] != "teatbench"
 
 
-@pytest.mark.slow
 def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Pytester) -> None:
     program = """
         import pytest
@@ -430,7 +425,6 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
     result.stdout.fnmatch_lines(takes)
 
 
-@pytest.mark.slow
 def test_trials_on_a_partly_emulated_rig_are_marked_so(tmp_path: Path) -> None:
     path = Path(write_small_rig(tmp_path))
     text = path.read_text(encoding="utf-8")
@@ -499,7 +493,6 @@ def test_an_interrupted_session_ends_its_run_once_fixtures_are_down(
     result.stdout.fnmatch_lines(["*COLD", "END interrupted [[]'no false teat']"])
 
 
-@pytest.mark.slow
 def test_a_rig_that_cannot_be_opened_is_said_with_its_cause(pytester: pytest.Pytester) -> None:
     """Whether the session ends by it or, in a worker of xdist, each test; nothing stays locked."""
     path = Path(write_small_rig(pytester.path))
@@ -517,7 +510,6 @@ def test_a_rig_that_cannot_be_opened_is_said_with_its_cause(pytester: pytest.Pyt
     result.stdout.no_fnmatch_line("*another bench has it*")
 
 
-@pytest.mark.slow
 def test_an_object_is_found_in_a_test_of_its_own_and_deadlines_are_those_of_scenes(
     pytester: pytest.Pytester, rig: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -543,7 +535,6 @@ def test_an_object_is_found_in_a_test_of_its_own_and_deadlines_are_those_of_scen
     second.stdout.fnmatch_lines(["*Blind misses 1 of 1 visible ends in Scene()*"])
 
 
-@pytest.mark.slow
 def test_a_detector_that_hangs_is_asked_no_more(pytester: pytest.Pytester, rig: str) -> None:
     result = run(pytester, f"RIG = {rig!r}\n{HANGS}", "--hypothesis-seed=1")
     result.assert_outcomes(failed=2, passed=1)

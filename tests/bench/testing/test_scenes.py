@@ -67,6 +67,7 @@ def test_what_is_drawn_can_stand_and_its_repr_is_itself(
     assert len(set(near)) == len(near)
 
 
+@pytest.mark.slow
 def test_four_teats_keep_what_is_drawn_and_move_sideways() -> None:
     """95 % of what is drawn has one teat before another."""
     drawn: list[tuple[Teat, ...]] = []
@@ -161,6 +162,7 @@ def test_wrong_names_and_values_are_refused_by_name(said: str) -> None:
         WRONG[said]()
 
 
+@pytest.mark.slow
 def test_a_sample_of_the_neighbours_says_so_and_names_the_plainest_that_passes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

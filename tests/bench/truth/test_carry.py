@@ -79,7 +79,6 @@ def test_the_stated_region_holds_the_truth_in_95_of_100_poses() -> None:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.0, 5e-3])
 def test_it_does_so_for_one_stage_too_better_or_ten_times_worse_than_stated(scale: float) -> None:
     # more than stated is a pity, less is a lie

@@ -56,6 +56,7 @@ def test_it_can_be_had_of_a_kept_run() -> None:
         assert len(rows.truth.fresh) == len(rows.errors_mm)
 
 
+@pytest.mark.slow
 def test_the_frames_touches_turn_all_ends_alike(tmp_path: Path) -> None:
     frame = TableFrame.from_touches(MADE, "1", [TouchedPoint(*one) for one in CORNERS.items()])
     (tmp_path / "arm-frame.toml").write_text(frame_text(frame), encoding="utf-8")

@@ -15,6 +15,8 @@ from detector.fused.parameters import Parameters
 from detector.protocol import Detection, Detector, Teat
 from tests.detector.fused.conftest import Body, Draw, Find
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 
@@ -51,7 +53,6 @@ def test_it_is_a_detector() -> None:
     assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
 
-@pytest.mark.slow
 def test_teats_of_any_lean_and_shape_are_found(
     find: Find, udder: list[Body], rig: Calibration
 ) -> None:
@@ -67,7 +68,6 @@ def test_teats_of_any_lean_and_shape_are_found(
         assert np.linalg.eigvalsh(covariance(teat)).min() > 0
 
 
-@pytest.mark.slow
 def test_calibration_uncertainty_is_added(
     draw_scene: Draw, udder: list[Body], rig: Calibration
 ) -> None:
@@ -81,7 +81,6 @@ def test_calibration_uncertainty_is_added(
         assert np.allclose(more, np.diag([4.0, 0.0, 0.0]), atol=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("gap_mm", [0.0, 1.5])
 def test_touching_teats_are_told_apart(find: Find, udder: list[Body], gap_mm: float) -> None:
     """The thermal picture shows one broad thing; greys differ a little."""
@@ -92,7 +91,6 @@ def test_touching_teats_are_told_apart(find: Find, udder: list[Body], gap_mm: fl
     held(find(bodies), bodies, 1.5)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -105,7 +103,6 @@ def test_another_thing_is_no_teat(find: Find, udder: list[Body], change: dict[st
     held(find([*udder, replace(udder[0], **change)]), udder, 1.0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["L", "R"])
 def test_a_teat_that_one_camera_doesnt_see_is_hidden_and_the_trace_says_why(
     find: Find, udder: list[Body], camera: str
@@ -159,7 +156,6 @@ def odd_frames(frames: Any) -> dict[str, tuple[dict[str, Any], str]]:
     }
 
 
-@pytest.mark.slow
 def test_frames_without_teats(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
     frames = draw_scene(udder)
     for name, (changes, words) in odd_frames(frames).items():

@@ -21,6 +21,7 @@ EXACT = ParameterCovariance((), np.zeros((0, 0)))
 SEED = 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [20130, 20142, 20176, 20189])
 def test_a_line_behind_a_teat_does_not_move_its_depth(k: int) -> None:
     """Nothing was learned on these; version 26 was off by 4.7, 14.1, 4.2 and 5.1 mm."""

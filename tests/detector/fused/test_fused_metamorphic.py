@@ -105,6 +105,7 @@ def test_a_warmer_room_moves_nothing(frames: Any, plain: Detection, rig: Calibra
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_world_upside_down_has_hanging_teats(
     frames: Any, plain: Detection, rig: Calibration
 ) -> None:

@@ -17,6 +17,8 @@ from detector.fused.detector import FusedDetector
 from detector.protocol import Detection
 from tests.detector.fused.conftest import Body, Draw, Find
 
+pytestmark = pytest.mark.slow
+
 BODIES = [
     Body(end, (0.05, -0.05))
     for end in ((-255.0, 275.0, 132.0), (-205.0, 200.0, 137.0), (-80.0, 270.0, 134.0))
@@ -36,7 +38,6 @@ def greatest_sd_mm(found: Detection) -> NDArray[np.float64]:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sd_px", "says"),
     [((4.0, 0.0), "along the rows"), ((0.0, 4.0), "along the columns"), ((2.0, 2.0), "focus")],
@@ -55,7 +56,6 @@ def test_blurred_pictures_are_a_reason(
     assert says in found.reason
 
 
-@pytest.mark.slow
 def test_shade_that_fades_towards_all_ends_is_no_blur(find: Find) -> None:
     """Lit from above before a wall as bright: the last 3 mm go from dark to nearly the wall's grey."""
     shaded = [
@@ -67,7 +67,6 @@ def test_shade_that_fades_towards_all_ends_is_no_blur(find: Find) -> None:
     assert len(answer.teats) == len(BODIES), answer.reason
 
 
-@pytest.mark.slow
 def test_clipped_and_slightly_blurred_pictures_widen_covariances(
     frames: Pictures, rig: Calibration
 ) -> None:
@@ -82,7 +81,6 @@ def test_clipped_and_slightly_blurred_pictures_widen_covariances(
     assert (blurred > 1.2 * plain).all()
 
 
-@pytest.mark.slow
 def test_a_cool_quarter_is_a_teat_and_a_cold_thing_of_its_shape_is_left_out(find: Find) -> None:
     """9 K cooler than the others; 18 K cooler, and colder than the room."""
     cool, cold = ([replace(BODIES[0], kelvin=warmth), *BODIES[1:]] for warmth in (296.5, 287.0))

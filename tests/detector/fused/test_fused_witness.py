@@ -13,6 +13,8 @@ from detector.external.serve import Pictures
 from detector.fused.detector import FusedDetector
 from tests.detector.fused.conftest import Body, Draw
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def frames(draw_scene: Draw) -> Pictures:
@@ -20,7 +22,6 @@ def frames(draw_scene: Draw) -> Pictures:
     return draw_scene([Body(end, (0.05, -0.05)) for end in ends])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -44,7 +45,6 @@ def test_cameras_that_disagree_are_a_reason(
     assert says in str(FusedDetector().detect(frames, Applied.parse(change).stated(exact)).reason)
 
 
-@pytest.mark.slow
 def test_light_that_hides_the_same_side_of_all_teats_is_not_the_cameras(
     draw_scene: Draw, rig: Calibration
 ) -> None:
@@ -66,7 +66,6 @@ def test_light_that_hides_the_same_side_of_all_teats_is_not_the_cameras(
         assert np.sqrt(np.linalg.eigvalsh(teat.covariance_mm2)[-1]) < 5.0
 
 
-@pytest.mark.slow
 def test_a_calibration_that_states_so_much_may_be_off_by_it(
     frames: Pictures, rig: Calibration
 ) -> None:
@@ -75,7 +74,6 @@ def test_a_calibration_that_states_so_much_may_be_off_by_it(
     assert len(FusedDetector().detect(frames, Applied("row", 1.0).stated(loose)).teats) == 3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("change", ["column=0", "column=0.5", "column=-0.5", "focal=0.2"])
 def test_a_small_fault_is_covered_by_what_is_stated(
     frames: Pictures, rig: Calibration, change: str

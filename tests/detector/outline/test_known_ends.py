@@ -11,6 +11,8 @@ from detector.external.serve import Pictures
 from detector.outline.known_ends import offsets_at
 from tests.detector.fused.conftest import Body, Draw
 
+pytestmark = pytest.mark.slow
+
 Expected = tuple[float, float, float]  # disparity and rows, px; thermal columns, sensor px
 
 
@@ -19,7 +21,6 @@ def frames(draw_scene: Draw, udder: list[Body]) -> Pictures:
     return draw_scene(udder)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -41,7 +42,6 @@ def test_what_the_calibration_gets_wrong_is_measured(
     np.testing.assert_allclose(np.median(figures.astype(float), axis=0), expected, atol=0.06)
 
 
-@pytest.mark.slow
 def test_what_is_farther_off_is_no_figure(
     frames: Pictures, rig: Calibration, udder: list[Body]
 ) -> None:
@@ -50,7 +50,6 @@ def test_what_is_farther_off_is_no_figure(
     assert {(one.disparity_px, one.rows_px) for one in found} == {(None, None)}
 
 
-@pytest.mark.slow
 def test_an_end_that_no_picture_shows_has_no_offset(
     frames: Pictures, rig: Calibration, udder: list[Body]
 ) -> None:

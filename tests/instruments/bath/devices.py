@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.emulator import BathEmulator, Framing, Server
 from instruments.bath.profile import (
     LineProfile,
@@ -75,12 +75,12 @@ class LineDevice:
 @contextmanager
 def driven(
     device: Device, profile: Profile, clock: Clock, *, query: str = "", **options: Any
-) -> Iterator[Bath]:
-    """A driver on ``device`` (lines, or Modbus RTU) at a port of loopback; options of `Bath`."""
+) -> Iterator[OwnBath]:
+    """A driver on ``device`` (lines, or Modbus RTU) at a port of loopback; options of `OwnBath`."""
     scheme = "tcp" if isinstance(profile, LineProfile) else "rtu+tcp"
     with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
         url = f"{scheme}://127.0.0.1:{listener.port}{query}"
-        with closing(Bath(url, profile, clock, **options)) as bath:
+        with closing(OwnBath(url, profile, clock, **options)) as bath:
             yield bath
 
 
@@ -207,12 +207,12 @@ class Stand:
         self.emulator = Watched(self.plant, self.profile, self.clock)
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="bath")
         self.url = url_of(self.emulator, self.listener)
-        self._opened: list[Bath] = []
+        self._opened: list[OwnBath] = []
 
-    def bath(self, **options: Any) -> Bath:
-        """A driver on it, with the options of `Bath`; a person has confirmed its unit."""
+    def bath(self, **options: Any) -> OwnBath:
+        """A driver on it, with the options of `OwnBath`; a person has confirmed its unit."""
         options.setdefault("unit_confirmed", True)
-        self._opened.append(Bath(self.url, self.profile, self.clock, **options))
+        self._opened.append(OwnBath(self.url, self.profile, self.clock, **options))
         return self._opened[-1]
 
     def __enter__(self) -> Stand:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from threading import RLock
 
 from instruments.bath.connection import parse_line
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.transactions import Transactions
 from instruments.clock import Clock, VirtualClock
 from instruments.listener import Connection, Listener
@@ -161,11 +161,11 @@ def shown_by(memory: dict[int, int]) -> Iterator[tuple[FarEnd, str]]:
 @contextmanager
 def bath_on(
     name: str, memory: dict[int, int], *, identify: bool = True
-) -> Iterator[tuple[FarEnd, Bath]]:
+) -> Iterator[tuple[FarEnd, OwnBath]]:
     """A driver with the profile ``name`` on a device that holds ``memory``."""
     with shown_by(memory) as (far_end, url):
         family = load_register_profile(name)
-        bath = Bath(url, family, far_end.clock, identify=identify, unit_confirmed=True)
+        bath = OwnBath(url, family, far_end.clock, identify=identify, unit_confirmed=True)
         try:
             yield far_end, bath
         finally:

@@ -47,10 +47,15 @@ def absent(reason: str) -> NoReturn:
     pytest.skip(reason, allow_module_level=True)
 
 
-def foreign(module: str, package: str) -> Any:
-    """The module of a program of others; `absent` where it is not installed."""
+def needed(module: str, package: str) -> None:
+    """`absent` where a program of others is not installed."""
     if importlib.util.find_spec(module.partition(".")[0]) is None:
         absent(f"needs {package}: pip install {package}")
+
+
+def foreign(module: str, package: str) -> Any:
+    """The module of a program of others; `absent` where it is not installed."""
+    needed(module, package)
     return importlib.import_module(module)
 
 

@@ -20,7 +20,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.driver import OwnBath, PumpAt
 from instruments.bath.emulator import FAULTS, POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.bath.profile import load_relay
 from instruments.bath.reading import BathReading
@@ -60,7 +60,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
         url = url_of(self.emulator, self.listener)
         self.relay, self.relay_listener, pump = self.with_relay()
         self.relay_was_cut = False
-        self.bath = Bath(url, self.emulator.profile, self.clock, pump=pump, unit_confirmed=True)
+        self.bath = OwnBath(url, self.emulator.profile, self.clock, pump=pump, unit_confirmed=True)
 
     def with_relay(self) -> tuple[RelayEmulator | None, Listener | None, PumpAt | None]:
         """A relay beside a controller without a pump."""
@@ -208,7 +208,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
 
     @rule()
     def another_bench_cleans_up(self) -> None:
-        other = Bath(self.bath.url, self.emulator.profile, self.clock, identify=False)
+        other = OwnBath(self.bath.url, self.emulator.profile, self.clock, identify=False)
         try:
             other.safe()
         except InstrumentError:

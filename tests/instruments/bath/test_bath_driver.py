@@ -8,7 +8,7 @@ import math
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.errors import LimitError, LinkError, ProtocolError
 from tests.instruments.bath.devices import Stand
 
@@ -119,6 +119,6 @@ def test_no_answer_is_an_error_after_some_tries(stand: Stand) -> None:
     with pytest.raises(
         LinkError, match=r"nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"
     ):
-        Bath("tcp://127.0.0.1:1", stand.profile, stand.clock)
+        OwnBath("tcp://127.0.0.1:1", stand.profile, stand.clock)
     with pytest.raises(LinkError, match="nothing took the connection"):
-        Bath("tcp://no-such-host.invalid:502", stand.profile, stand.clock)
+        OwnBath("tcp://no-such-host.invalid:502", stand.profile, stand.clock)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.profile import SHIPPED, RegisterProfile
 from instruments.bath.rows import Row
 from instruments.device_file import DeviceFileError
@@ -203,7 +203,7 @@ def test_another_controller_or_a_broken_sensor_is_refused_before_anything_is_wri
     memory = next(known for other, known in BROWSED.items() if other[:5] == name[:5]) | changes
     with shown_by(memory) as (far_end, url):
         with pytest.raises(DeviceError, match=message):
-            Bath(url, load_register_profile(name), far_end.clock)
+            OwnBath(url, load_register_profile(name), far_end.clock)
         assert all(pdu[0] not in (5, 6, 16) for pdu in far_end.asked)
 
 

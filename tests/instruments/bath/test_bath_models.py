@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.line_dialects import Julabo
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, load_profile, profile_names
@@ -134,7 +134,7 @@ def test_a_lauda_without_an_external_probe_is_read(refusal: str) -> None:
 
 def test_laudas_port_need_not_be_named() -> None:
     profile = load_profile("lauda-ascii")
-    bath = Bath("tcp://127.0.0.1", profile, VirtualClock(), identify=False)
+    bath = OwnBath("tcp://127.0.0.1", profile, VirtualClock(), identify=False)
     assert bath._wire.line.port == 54321
 
 
@@ -237,9 +237,9 @@ def test_both_ports_of_a_watlow_have_to_be_in_celsius(units: dict[int, int], ref
         profile = load_register_profile("watlow-pm-map1")
         if refused:
             with pytest.raises(DeviceError, match="does not speak degC"):
-                Bath(url, profile, far_end.clock)
+                OwnBath(url, profile, far_end.clock)
         else:
-            Bath(url, profile, far_end.clock).close()
+            OwnBath(url, profile, far_end.clock).close()
 
 
 @pytest.mark.parametrize("name", ["haake", "lauda-ascii", "watlow-pm-map2"])
@@ -254,7 +254,7 @@ def test_where_nothing_tells_the_unit_nothing_is_written_before_a_person_has(nam
             assert {address for _, address in stand.emulator.writes()} == {2360, 2640}
 
 
-def check_confirmation(bath: Bath, plant: Any) -> None:
+def check_confirmation(bath: OwnBath, plant: Any) -> None:
     calls: list[Callable[[], object]] = [
         lambda: bath.start(33.0),
         lambda: bath.set_point(33.0),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.driver import OwnBath, PumpAt
 from instruments.bath.emulator import POWER_CUT, BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import RelayProfile, load_relay, relay_names
 from instruments.clock import VirtualClock
@@ -79,7 +79,7 @@ def test_what_it_does_not_do(question: str, answer: str) -> None:
 @contextmanager
 def bath_and_relay(
     family: str, framing: Framing
-) -> Iterator[tuple[Bath, BathEmulator, RelayEmulator, VirtualClock]]:
+) -> Iterator[tuple[OwnBath, BathEmulator, RelayEmulator, VirtualClock]]:
     board = load_relay("modbus-relay")
     with Stand(profile=load_register_profile(family)) as stand:
         relay = RelayEmulator(stand.plant, board, stand.clock, framing=framing)
@@ -163,18 +163,18 @@ class Multidrop(FarEnd):
 
 
 @pytest.fixture
-def line(relay: RelayProfile) -> Iterator[tuple[Multidrop, Bath]]:
+def line(relay: RelayProfile) -> Iterator[tuple[Multidrop, OwnBath]]:
     far_end = Multidrop(VirtualClock())
     far_end.memory = dict(SHOWN)
     with served(far_end) as url:
         pump, profile = PumpAt(f"{url}?unit=5", relay), load_register_profile("omega-cn7")
-        bath = Bath(url, profile, far_end.clock, pump=pump)
+        bath = OwnBath(url, profile, far_end.clock, pump=pump)
         yield far_end, bath
         bath.close()
 
 
 def test_on_one_line_the_relay_and_the_controller_share_a_link(
-    line: tuple[Multidrop, Bath],
+    line: tuple[Multidrop, OwnBath],
 ) -> None:
     far_end, bath = line
     assert bath.pump == "own"
@@ -191,7 +191,9 @@ def test_on_one_line_the_relay_and_the_controller_share_a_link(
     assert {1, 5} == set(far_end.units)
 
 
-def test_a_late_answer_of_the_relay_is_never_the_controllers(line: tuple[Multidrop, Bath]) -> None:
+def test_a_late_answer_of_the_relay_is_never_the_controllers(
+    line: tuple[Multidrop, OwnBath],
+) -> None:
     far_end, bath = line
     bath.set("pump", "on")
     for late_s in (1.2, 1.7, 2.5, 4.0):
@@ -207,14 +209,14 @@ def test_a_late_answer_of_the_relay_is_never_the_controllers(line: tuple[Multidr
 @contextmanager
 def elsewhere(
     relay: RelayProfile, *, allow_inferred: bool = False
-) -> Iterator[tuple[Bath, FarEnd]]:
+) -> Iterator[tuple[OwnBath, FarEnd]]:
     """A bath whose pump's relay, the far end, has a line of its own."""
     clock = VirtualClock()
     controller, box = FarEnd(clock), FarEnd(clock, framing="tcp")
     controller.memory = dict(SHOWN)
     with served(controller) as url, served(box) as pump_url:
         pump, profile = PumpAt(pump_url, relay), load_register_profile("omega-cn7")
-        bath = Bath(url, profile, clock, pump=pump, allow_inferred=allow_inferred)
+        bath = OwnBath(url, profile, clock, pump=pump, allow_inferred=allow_inferred)
         yield bath, box
         bath.close()
 
@@ -250,7 +252,7 @@ def test_a_family_with_a_pump_takes_no_relay(relay: RelayProfile) -> None:
         LimitError,
         match=r"JULABO PRESTO: its pump \(with run\) is the family's own, and no relay switches it",
     ):
-        Bath("tcp://127.0.0.1:1", profile, VirtualClock(), pump=pump)
+        OwnBath("tcp://127.0.0.1:1", profile, VirtualClock(), pump=pump)
 
 
 @pytest.mark.parametrize(
@@ -282,7 +284,7 @@ def test_an_inferred_relay_is_not_switched_unless_the_rig_says_so(relay: RelayPr
 
 @pytest.mark.parametrize("off", ["off", 0.0, 0])
 def test_the_pump_is_not_switched_off_before_the_heater(
-    line: tuple[Multidrop, Bath], off: float | str
+    line: tuple[Multidrop, OwnBath], off: float | str
 ) -> None:
     far_end, bath = line
     bath.set("pump", "on")

@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.emulator import BathEmulator
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
@@ -39,7 +39,7 @@ def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
 @pytest.mark.parametrize("family", ["eurotherm-3200", "omega-cn7"])
 def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
     with terminal(family) as (listener, emulator, clock):
-        bath = Bath(f"{listener.url}?baud=19200", load_register_profile(family), clock)
+        bath = OwnBath(f"{listener.url}?baud=19200", load_register_profile(family), clock)
         assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
         bath.start(33.0)
         assert emulator.runs()
@@ -54,7 +54,7 @@ def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
 def test_an_adapter_that_is_unplugged_is_reported_and_the_next_one_is_found() -> None:
     with terminal("eurotherm-2400") as (listener, emulator, clock):
         profile = load_register_profile("eurotherm-2400")
-        bath = Bath(listener.url, profile, clock)
+        bath = OwnBath(listener.url, profile, clock)
         within(lambda: emulator.hosts, "a host is there")
         # as long as it is open, the name goes to no other program's terminal
         kept = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
@@ -64,7 +64,7 @@ def test_an_adapter_that_is_unplugged_is_reported_and_the_next_one_is_found() ->
             bath.read()
         bath.close()
         os.close(kept)
-        again = Bath(listener.url, profile, clock)  # it came back under another name
+        again = OwnBath(listener.url, profile, clock)  # it came back under another name
         assert again.read().temp_c == pytest.approx(20.0, abs=0.1)
         again.close()
 
@@ -88,7 +88,7 @@ def test_a_tap_sees_every_byte_garbage_too() -> None:
     far_end = FarEnd(clock)
     far_end.memory = {0x1000: 200, 0x1001: 200, 0x0811: 1}
     with served(far_end) as url:
-        bath = Bath(url, load_register_profile("omega-cn7"), clock, tap=tap)
+        bath = OwnBath(url, load_register_profile("omega-cn7"), clock, tap=tap)
         assert tap.text[0] == ("opened", url)
         del tap.text[:]
         far_end.spoils = [lambda frame: b"\xff" + frame]
@@ -104,7 +104,7 @@ def test_a_tap_sees_every_byte_garbage_too() -> None:
 
 def test_a_tap_gets_a_link_that_breaks_and_the_next_one(stand: Stand) -> None:
     tap = Heard()
-    bath = Bath(stand.url, stand.profile, stand.clock, tap=tap)
+    bath = OwnBath(stand.url, stand.profile, stand.clock, tap=tap)
     stand.emulator.pull_the_cable()
     bath.read()
     bath.close()
@@ -127,18 +127,18 @@ def test_a_setting_that_the_port_does_not_have_is_reported() -> None:
         pytest.raises(LinkError, match=r"the port can't be opened in 6 tries"),
     ):
         # pseudo-terminals have no parity
-        Bath(f"{listener.url}?parity=E", load_register_profile("omega-cn7"), clock)
+        OwnBath(f"{listener.url}?parity=E", load_register_profile("omega-cn7"), clock)
 
 
 # ---- trouble under way
 
 
 @contextmanager
-def over_tcp() -> Iterator[tuple[Bath, BathEmulator, RealClock]]:
+def over_tcp() -> Iterator[tuple[OwnBath, BathEmulator, RealClock]]:
     with closing(RealClock()) as clock:
         emulator = BathEmulator(Plant(1), load_register_profile("julabo-presto"), clock)
         with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
-            bath = Bath(f"tcp://127.0.0.1:{listener.port}", emulator.profile, clock)
+            bath = OwnBath(f"tcp://127.0.0.1:{listener.port}", emulator.profile, clock)
             yield bath, emulator, clock
             bath.close()
             bath.close()

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from instruments.bath.connection import Line, LineError, parse_line
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.session import BrokenError
 from instruments.bath.transactions import FORGET_S, Transactions
 from instruments.errors import InstrumentError, LinkError, ProtocolError
@@ -237,7 +237,7 @@ def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
     """At every place: the right reading or an error, and the right one again soon after."""
     with virtual("tcp") as (far_end, url):
         far_end.memory = dict(PRESTO)
-        bath = Bath(url, load_register_profile("julabo-presto"), far_end.clock)
+        bath = OwnBath(url, load_register_profile("julabo-presto"), far_end.clock)
         whole = replace(bath.read(), t_s=0.0)
         assert (whole.temp_c, whole.external_c, whole.safety_c) == (33.125, 30.5, 33.25)
         assert (whole.power_percent, whole.set_point_c) == (37.0, 33.0)

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.session import BrokenError
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from tests.instruments.bath.devices import Stand, load_register_profile
@@ -103,10 +103,10 @@ def test_answers_that_are_none(reply: Spoil, message: str) -> None:
     with virtual("tcp") as (far_end, url):
         far_end.spoils = [reply] * 9
         with pytest.raises(ProtocolError, match=message):
-            Bath(url, load_register_profile("julabo-presto"), far_end.clock)
+            OwnBath(url, load_register_profile("julabo-presto"), far_end.clock)
 
 
-CALLS: dict[str, Callable[[Bath], object]] = {
+CALLS: dict[str, Callable[[OwnBath], object]] = {
     "read": lambda bath: bath.read(),
     "get": lambda bath: bath.get("set_point"),
     "set": lambda bath: bath.set("set_point", 30.0),

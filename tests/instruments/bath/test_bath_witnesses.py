@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, RegisterProfile, load_profile, profile_names
 from instruments.bath.rows import LineRow, Quantity, Row
@@ -126,7 +126,7 @@ def test_the_emulator_is_laid_out_by_the_witness(name: str) -> None:
         scheme = "tcp" if emulator.framing == "tcp" else "rtu+tcp"
         emulator.plant.set_point_c = 25.0
         url = f"{scheme}://127.0.0.1:{listener.port}"
-        with suppress(InstrumentError), closing(Bath(url, wrong, clock)) as bath:
+        with suppress(InstrumentError), closing(OwnBath(url, wrong, clock)) as bath:
             assert bath.read().temp_c != pytest.approx(20.0, abs=0.5)
             assert name == "omega-cn7"  # its set point is at the next register
     assert emulator.writes() == []

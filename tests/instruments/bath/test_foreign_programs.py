@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, Profile, load_profile
 from instruments.clock import RealClock
@@ -179,7 +179,10 @@ def flat(image: dict[int, list[int]]) -> dict[int, int]:
 
 
 def check_presto(url: str) -> None:
-    with closing(RealClock()) as clock, closing(Bath(url, patient("julabo-presto"), clock)) as bath:
+    with (
+        closing(RealClock()) as clock,
+        closing(OwnBath(url, patient("julabo-presto"), clock)) as bath,
+    ):
         reading = bath.read()
         assert (reading.temp_c, reading.external_c, reading.safety_c) == (20.0, 20.5, 21.0)
         assert bath.identity["cut_out"] == "40 degC"

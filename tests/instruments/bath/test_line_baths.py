@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, Profile, load_profile, profile_names
 from instruments.clock import Clock, VirtualClock
@@ -86,7 +86,7 @@ class Typed(LineDevice):
 
 
 @contextmanager
-def served(typed: Typed, profile: str | Profile = JULABO) -> Iterator[tuple[Typed, Bath]]:
+def served(typed: Typed, profile: str | Profile = JULABO) -> Iterator[tuple[Typed, OwnBath]]:
     """A driver on it, under its clock."""
     family = load_profile(profile) if isinstance(profile, str) else profile
     with driven(typed, family, typed.clock, unit_confirmed=True) as bath:
@@ -406,7 +406,7 @@ def test_a_dialogue_written_from_the_makers_documents_alone(name: str) -> None:
 @contextmanager
 def emulated(
     name: str, fault: str = "", *, confirmed: bool = True
-) -> Iterator[tuple[LineEmulator, Bath]]:
+) -> Iterator[tuple[LineEmulator, OwnBath]]:
     """A driver on an emulated circulator, whose unit a person has ``confirmed``."""
     profile, clock = load_profile(name), VirtualClock()
     assert isinstance(profile, LineProfile)
@@ -495,9 +495,9 @@ def own(folder: Path, old: str = "", new: str = "") -> Path:
 def test_a_url_that_a_lab_s_own_bath_can_not_have_is_refused(tmp_path: Path) -> None:
     profile, clock = load_profile(own(tmp_path)), VirtualClock()
     with pytest.raises(LinkError, match="the port is missing"):
-        Bath("tcp://127.0.0.1", profile, clock)
+        OwnBath("tcp://127.0.0.1", profile, clock)
     with pytest.raises(LinkError, match="has no unit"):
-        Bath("COM9?unit=3", profile, clock)
+        OwnBath("COM9?unit=3", profile, clock)
 
 
 @pytest.mark.parametrize(

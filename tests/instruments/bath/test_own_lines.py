@@ -15,12 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.bath.checksums import Checksum, checked, summed
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import (
     AlarmCode,
     Capabilities,
-    Identity,
+    IdentityCheck,
     LineProfile,
     Model,
     NumberUnit,
@@ -140,7 +140,7 @@ def profile_of(folder: Path, text: str) -> LineProfile:
     return profile
 
 
-def bath_on(device: Device, profile: LineProfile) -> AbstractContextManager[Bath]:
+def bath_on(device: Device, profile: LineProfile) -> AbstractContextManager[OwnBath]:
     """A driver on a device under virtual time."""
     return driven(device, profile, VirtualClock())
 
@@ -336,7 +336,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "add-a-bath.md"
 def test_the_page_explains_every_key_and_every_type_of_rows() -> None:
     page = PAGE.read_text(encoding="utf-8")
     models: list[type[Strict]] = [LineProfile, RegisterProfile, LineRow, Row, Capabilities]
-    models += [Identity, AlarmCode, Model, NumberUnit, OrderFrom]
+    models += [IdentityCheck, AlarmCode, Model, NumberUnit, OrderFrom]
     keys = {key for model in models for key in model.model_fields}
     words = {*re.findall(r"[A-Za-z_0-9]+", " ".join(re.findall(r"`[^`]+`|```.*?```", page, re.S)))}
     assert sorted(keys - words) == []

@@ -16,7 +16,7 @@ import pytest
 import serial
 from serial.rfc2217 import PortManager
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import OwnBath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, RegisterProfile, load_profile
@@ -137,6 +137,6 @@ def test_a_bath_behind_a_serial_server(name: str) -> None:
         ):
             # a pseudo-terminal has no parity and no lines
             url = f"{address}?baud=9600&parity=N&bytesize=8&stopbits=2&handshake=none"
-            with closing(Bath(url, load_profile(name), clock)) as bath:
+            with closing(OwnBath(url, load_profile(name), clock)) as bath:
                 assert (port.baudrate, port.stopbits) == (9600, 2), "the server was told"
                 assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)

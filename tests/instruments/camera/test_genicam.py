@@ -12,7 +12,6 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import astuple, replace
 from functools import wraps
 from itertools import count
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -151,6 +150,7 @@ class Damaged:
         self.real, self.get_status = real, lambda: status
 
 
+@pytest.mark.slow
 def test_what_damaged_frames_are_called_and_when_the_hint_is_given(
     aravis: Any, clock: RealClock
 ) -> None:
@@ -367,17 +367,18 @@ Describe = Callable[..., None]
 
 
 @pytest.fixture
-def describe(aravis: Any, tmp_path: Path) -> Iterator[Describe]:
+def describe(aravis: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Describe]:
     """What gives the camera in this process further features, from then on: its own description is
-    put back at the end. ``renamed``: what is replaced in it.
+    put back at the end. ``renamed``: what is replaced in it. The library reads the last file again.
     """
+    folder = tmp_path_factory.mktemp("described")
     aravis.enable_interface("Fake")
     plain = str(aravis.Camera.new(IN_PROCESS).get_device().get_genicam_xml()[0])
     numbers = count()
 
     def described(features: str = "", renamed: tuple[str, str] = ("", "")) -> None:
         text = re.sub(*renamed, plain, flags=re.DOTALL) if renamed[0] else plain
-        path = tmp_path / f"{next(numbers)}.xml"
+        path = folder / f"{next(numbers)}.xml"
         path.write_text(text.replace("<StringReg", f"{features}<StringReg", 1), encoding="utf-8")
         aravis.set_fake_camera_genicam_filename(str(path))
 

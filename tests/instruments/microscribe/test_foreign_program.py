@@ -37,6 +37,7 @@ def microcmm(monkeypatch: pytest.MonkeyPatch) -> Any:
     return program
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "unit", [UNIT, renamed(comment="Standard")], ids=["with-beta", "without-beta"]
 )
@@ -70,6 +71,7 @@ def test_it_reads_where_the_tip_is_held(microcmm: Any, unit: ArmIdentity) -> Non
         assert arm.eeprom_attempts == 0
 
 
+@pytest.mark.slow
 def test_it_is_not_homed_until_it_is_told(microcmm: Any) -> None:
     """An arm that was signed on again still answers; its host has to say that it is on its peg."""
     with closing(RealClock()) as clock:

@@ -38,7 +38,6 @@ def turn_and_shift(of: World) -> tuple[float, float, float]:
 
 
 @pytest.mark.weekly
-@pytest.mark.slow
 def test_placement_errors_have_the_spread_that_was_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Any, cast
 from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
-from instruments.stage.driver import Spoken, Stage
+from instruments.stage.driver import OwnStage, Spoken
 from instruments.stage.emulator.board import StageEmulator
 
 GREETING = WELCOME = b"\r\nGrbl 1.1h ['$' for help]\r\n"
@@ -110,8 +110,8 @@ class Bench:
             link.close()
         self.listener.close()
 
-    def plug_in(self) -> Stage:
-        return Stage(self.link(), self.clock, self.axes, dialect=spoken_by(self.emulator))
+    def plug_in(self) -> OwnStage:
+        return OwnStage(self.link(), self.clock, self.axes, dialect=spoken_by(self.emulator))
 
     def again(self, *, axes: str | None = None, device: Device | None = None) -> Bench:
         """With a new driver: for other ``axes``, or with ``device`` before the board."""
@@ -121,7 +121,7 @@ class Bench:
         self.stage = self.plug_in()
         return self
 
-    def homed(self) -> Stage:
+    def homed(self) -> OwnStage:
         self.stage.connect()
         self.stage.home()
         return self.stage
@@ -148,7 +148,7 @@ def identify(device: Device, axes: str = "XY", dialect: Spoken = "grbl") -> None
     listener = Listener(device, clock, lock=threading.RLock(), name="stage")
     link = Link(listener.url, clock, who="stage")
     try:
-        Stage(link, clock, axes, dialect=dialect).connect()
+        OwnStage(link, clock, axes, dialect=dialect).connect()
     finally:
         link.close()
         listener.close()

@@ -11,7 +11,7 @@ import pytest
 
 from instruments.errors import DeviceError, LimitError, ProtocolError
 from instruments.listener import Connection
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.store import GRBL_HAL
 from tests.instruments.stage.board import Bench
 
@@ -59,7 +59,7 @@ def test_an_axis_that_is_not_declared_is_refused(
 def test_axes_that_no_stage_or_this_controller_has_not(make: Make) -> None:
     bench = make()
     with pytest.raises(LimitError, match=r"a stage has no axes 'XB'\. Declare XY, XYZ, XYA, XYZA"):
-        Stage(bench.stage._link, bench.clock, "XB")
+        OwnStage(bench.stage._link, bench.clock, "XB")
     missing = r"no axis A: setting \$103 is missing.*grblHAL build with four axes"
     with pytest.raises(DeviceError, match=missing):
         bench.again(axes="XYA").stage.connect()

@@ -11,7 +11,7 @@ import pytest
 
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Connection
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.store import EMULATED, FLUIDNC, MARLIN, ZABER
 from tests.instruments.stage.board import Bench
@@ -37,7 +37,7 @@ def test_the_docs_say_of_each_firmware_what_it_can_not_tell() -> None:
     assert all(re.search(rf"\| (\S+|a plug-in) \| {name} .*\|.*\w \|\n", text) for name in EMULATED)
 
 
-def somewhere(stage: Stage) -> tuple[float, float]:
+def somewhere(stage: OwnStage) -> tuple[float, float]:
     low = {axis: limits.low_mm for axis, limits in stage.limits.items()}
     return low["X"] + 50.0, low["Y"] + 60.0
 

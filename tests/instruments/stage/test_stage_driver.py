@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from instruments.errors import DeviceError, LimitError, LinkError
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.board import StageFault
 from tests.instruments.stage.board import Bench
 
@@ -202,12 +202,12 @@ def test_a_feed_override_that_makes_the_move_too_slow(bench: Bench) -> None:
     assert stage.status().name == "Hold:0"
 
 
-def _connected(bench: Bench) -> Stage:
+def _connected(bench: Bench) -> OwnStage:
     bench.stage.connect()
     return bench.stage
 
 
-def _moving(bench: Bench, for_s: float = 1.0) -> Stage:
+def _moving(bench: Bench, for_s: float = 1.0) -> OwnStage:
     bench.homed().begin_move(-200, -200)
     bench.clock.sleep(for_s)
     return bench.stage

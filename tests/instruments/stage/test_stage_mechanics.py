@@ -15,8 +15,14 @@ from hypothesis import strategies as st
 
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.carriage import AxisDrive, Mounting
-from instruments.stage.emulator.gcode import GCode, Move
-from instruments.stage.emulator.motion import AxisRates, LinearMove, Motion, MoveSegment, Vector
+from instruments.stage.emulator.gcode import GCode, StraightMove
+from instruments.stage.emulator.motion import (
+    AxisRates,
+    CountedMotion,
+    LinearMove,
+    MoveSegment,
+    Vector,
+)
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
@@ -46,7 +52,7 @@ def test_a_run_covers_its_length_and_ends_at_rest(
 def test_any_path_with_any_holds_and_overrides_is_smooth_and_ends_at_its_target(
     moves: list[tuple[Vector, float]], holds: list[tuple[float, int]]
 ) -> None:
-    motion, now = Motion((-1.0, -1.0, -1.0)), 0.0
+    motion, now = CountedMotion((-1.0, -1.0, -1.0)), 0.0
     for target, feed in moves:
         motion.go(target, feed, RATES, now)
     for run, percent in holds:
@@ -272,7 +278,9 @@ def test_an_arc_goes_round_its_centre(
     line: str, centre: tuple[float, float], radius: float, turn_deg: float
 ) -> None:
     """Signs by hand: G2 is clockwise, and a negative R is the longer way round."""
-    places = [one.target_mm for one in GCode("XYZ", 1e7).take(line) if isinstance(one, Move)]
+    places = [
+        one.target_mm for one in GCode("XYZ", 1e7).take(line) if isinstance(one, StraightMove)
+    ]
     ways = [(x - centre[0], y - centre[1]) for x, y, _ in [(0.0, 0.0, 0.0), *places]]
     assert [math.hypot(*way) for way in ways] == pytest.approx([radius] * len(ways))
     angles = [math.degrees(math.atan2(y, x)) for x, y in ways]

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from instruments.errors import InstrumentError, LimitError, LinkError
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.grbl import GrblController
-from instruments.stage.emulator.store import CLASSIC, FLUIDNC, GRBL_HAL, MARLIN, Dialect
+from instruments.stage.emulator.store import CLASSIC, FLUIDNC, GRBL_HAL, MARLIN, Firmware
 from tests.examples import examples
 from tests.instruments.stage.board import Bench
 
@@ -48,7 +48,7 @@ class StageRules(RuleBasedStateMachine):
     """
 
     @initialize(board=st.sampled_from(BOARDS), play=st.booleans())
-    def power_on(self, board: tuple[Dialect, str], play: bool) -> None:
+    def power_on(self, board: tuple[Firmware, str], play: bool) -> None:
         dialect, self.axes = board
         count = 4 if "A" in self.axes else 3
         self.play = PLAY if play else (0.0, 0.0, 0.0, 0.0)
@@ -63,7 +63,7 @@ class StageRules(RuleBasedStateMachine):
         self.bench.homed()
 
     @property
-    def stage(self) -> Stage:
+    def stage(self) -> OwnStage:
         return self.bench.stage
 
     def machine(self, place: Place) -> Place:
@@ -155,8 +155,8 @@ class StageRules(RuleBasedStateMachine):
     def let_time_pass(self, seconds: float) -> None:
         self.clock.sleep(seconds)
 
-    @rule(call=st.sampled_from([Stage.cancel_jog, Stage.brake]))
-    def only_call(self, call: Callable[[Stage], None]) -> None:
+    @rule(call=st.sampled_from([OwnStage.cancel_jog, OwnStage.brake]))
+    def only_call(self, call: Callable[[OwnStage], None]) -> None:
         with suppress(InstrumentError):
             call(self.stage)
 

@@ -10,7 +10,7 @@ import pytest
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.grbl import GrblController, Mode
-from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Dialect
+from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Firmware
 from instruments.stage.protocol import codes
 from tests.instruments.stage.board import GREETING, Bench, Parrot, identify
 
@@ -130,7 +130,7 @@ def test_devices_that_speak_another_dialect_are_refused() -> None:
     ],
 )
 def test_recovery_from_each_alarm_is_explicit(
-    make: Make, dialect: Dialect, code: int, critical: bool
+    make: Make, dialect: Firmware, code: int, critical: bool
 ) -> None:
     bench = make(dialect=dialect)
     stage = bench.homed()

@@ -28,9 +28,9 @@ from instruments.errors import InstrumentError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
 from instruments.stage import marlin, protocol
-from instruments.stage.driver import Stage
+from instruments.stage.driver import OwnStage
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import EMULATED, GRBL_HAL, MARLIN, ZABER, Dialect
+from instruments.stage.emulator.store import EMULATED, GRBL_HAL, MARLIN, ZABER, Firmware
 from instruments.stage.protocol import Alarm, MalformedLine, Status
 from tests.examples import examples
 from tests.instruments.bath.peers import foreign
@@ -172,7 +172,7 @@ def test_the_driver_understands_marlin_build_by_build(
         closing(Link(listener.url, clock, who="stage")) as link,
     ):
         axes = "XYZ" if "Z " in expected else "XY"
-        stage = Stage(link, clock, axes, dialect="marlin")
+        stage = OwnStage(link, clock, axes, dialect="marlin")
         if expected.startswith("refused: "):
             with pytest.raises(InstrumentError, match=expected.removeprefix("refused: ")):
                 stage.connect()
@@ -418,7 +418,7 @@ PIECES = [
 @example(said=[(b"/1 1 set maxspeed " + b"9" * 400 + b"\n/1 1 move abs 9\n", 1.0)])
 @settings(max_examples=examples(15), deadline=None)
 def test_nothing_on_the_wire_ends_an_emulator(
-    dialect: Dialect, said: list[tuple[bytes, float]]
+    dialect: Firmware, said: list[tuple[bytes, float]]
 ) -> None:
     board = Board(dialect=dialect)
     for data, seconds in said:

@@ -17,6 +17,8 @@ from instruments.world.state import SceneState
 from tests.examples import few
 from tests.instruments.world.scenes import NOBODY, by_opencv, centroid, eye, matrix, renderer
 
+pytestmark = pytest.mark.slow
+
 CHESS = Pattern("chessboard", 10, 7, 25.0, 20.0)
 CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 UPRIGHT = Board((-340.0, 300.0, 260.0), pattern=CHESS)
@@ -41,7 +43,6 @@ def refined(picture: Image, corners_px: Floats, window: int = 4) -> Floats:
     return np.asarray(found.reshape(-1, 2), dtype=np.float64)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("number", few([0, 7, 13], 3))
 def test_corners_lie_where_opencv_projects_them(which: str, number: int) -> None:
@@ -63,7 +64,6 @@ def test_corners_lie_where_opencv_projects_them(which: str, number: int) -> None
     assert np.abs((seen - expected[inside]).mean(axis=0)).max() < 0.01
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("pattern", [CHESS, Pattern("charuco", 7, 5, 36.0, 10.0)])
 def test_every_pixel_has_its_exact_share_of_dark(pattern: Pattern) -> None:
     """Against 40 x 40 samples a pixel, whose rays `cv2.undistortPoints` gives."""
@@ -110,7 +110,6 @@ def _dark_at(board: Board, pixels: Floats) -> Floats:
     return dark
 
 
-@pytest.mark.slow
 def test_opencv_reads_the_charuco_board() -> None:
     """Markers, their numbers and the corners between them, as OpenCV lays such a board out."""
     pattern = Pattern("charuco", 8, 6, 40.0, 15.0)
@@ -126,7 +125,6 @@ def test_opencv_reads_the_charuco_board() -> None:
     assert board.pattern.corners_mm - pattern.margin_mm == pytest.approx(laid_out)
 
 
-@pytest.mark.slow
 def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
     """The middle of each circle's heat, in thermal pixels."""
     pattern = Pattern("circles", 4, 3, 36.0, 9.0, feature_mm=18.0)
@@ -139,7 +137,6 @@ def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
         assert at == pytest.approx([u, v], abs=0.05)
 
 
-@pytest.mark.slow
 def test_a_board_from_behind_is_plain() -> None:
     away = replace(UPRIGHT, corner_mm=(-50.0, 300.0, 260.0), across=(-1.0, 0.0, 0.0))
     u, v = by_opencv(renderer().cameras[0], UPRIGHT.corners_mm).round().astype(int).T
@@ -197,7 +194,6 @@ def _place(edge: Image) -> float:
     return float(line @ np.arange(len(line)) / line.sum())
 
 
-@pytest.mark.slow
 def test_poses_spread_tilt_and_stay_in_view() -> None:
     boards = held(CHESS)
     assert len(boards) == 24

@@ -86,6 +86,7 @@ def test_a_sphere_is_within_half_a_millimetre_without_noise(blur_px: float) -> N
     assert amplitude[at] == pytest.approx(1.0 / away_m**2, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_stated_noise_comes_back_and_goes_with_amplitude() -> None:
     off, noise_mm = on_ball()[1], 1.0
     frames = [depth_mm(ball(), seed, noise_mm=noise_mm)[0] for seed in range(12)]
@@ -122,6 +123,7 @@ def test_pixels_fly_between_near_and_far_only_where_both_are_seen() -> None:
     assert np.abs(off[flying] - 1.0).max() < pixel
 
 
+@pytest.mark.slow
 def test_the_second_path_is_that_of_fine_cells() -> None:
     """Its light on the ball's lowest pixels, against a sum over cells of 10 mm of the table."""
     state = replace(ball(), backdrop=replace(PLAIN, board_albedo=0.0))
@@ -156,6 +158,7 @@ def test_what_is_too_dark_or_too_far_is_not_measured() -> None:
     assert np.isnan(depth_mm(NOBODY, offset_mm=6000.0)[0]).any()
 
 
+@pytest.mark.slow
 def test_the_other_cameras_are_the_same_with_and_without_one() -> None:
     rigs = ROOT / "bench/rigs"
     plain, deep = (

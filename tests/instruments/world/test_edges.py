@@ -17,6 +17,8 @@ from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import Hull, Ints, ball
 from tests.instruments.world.scenes import NOBODY, by_opencv, centroid, empty, eye, renderer
 
+pytestmark = pytest.mark.slow
+
 BLACK = Paint(albedo=0.0)
 PANEL = Pattern("plain", 6, 6, 25.0, 0.0)
 
@@ -55,7 +57,6 @@ def at_rows(limb: Floats, rows: Ints) -> Floats:
     return np.asarray(np.interp(rows, limb[:, 1], limb[:, 0]))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("which", ["left", "right"])
 def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
     depths = ((150.0, 130.0), (700.0, 420.0))
@@ -65,7 +66,6 @@ def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
         assert centroid(share, (round(u), round(v)), 14) == pytest.approx([u, v], abs=0.03)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [0.0, 17.0, 45.0, 90.0])
 def test_edges_of_every_orientation(angle_deg: float) -> None:
     """Both edges of a turned post: their mean place over each stretch, below 0.01 px."""
@@ -103,7 +103,6 @@ def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float)
     return np.asarray(a + np.linspace(0.0, 1.0, 400)[:, None] * (b - a) + radius * touch)
 
 
-@pytest.mark.slow
 def test_the_rounded_end_reaches_its_apex() -> None:
     """The highest covered row is the hemisphere's limb."""
     camera = renderer().cameras[0]
@@ -129,7 +128,6 @@ def test_the_rounded_end_reaches_its_apex() -> None:
     assert rows[-1] + 0.5 - covered == pytest.approx(top, abs=0.05)
 
 
-@pytest.mark.slow
 def test_nothing_seen_beside_the_outline() -> None:
     share = hidden_share("left", ball((-180.0, 230.0, 200.0), 11.0))
     (u, v), radius = renderer().cameras[0].project(np.array([[-180.0, 230.0, 200.0]]))[0], 13.5
@@ -139,7 +137,6 @@ def test_nothing_seen_beside_the_outline() -> None:
     assert share[away < radius - 4.0].min() > 0.999
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("blur_px", "turned"), [(0.5, False), (0.9, True)])
 def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> None:
     """ISO 12233: the edge spread along the normal, finely binned; its derivative's spectrum."""
@@ -193,7 +190,6 @@ def test_the_kernel_has_its_variance_and_its_transfer(sigma: float) -> None:
     assert spectrum == pytest.approx(transfer(sigma, f), abs=1e-3)
 
 
-@pytest.mark.slow
 def test_out_of_focus_widens_edges_as_the_thin_lens_says() -> None:
     """At twice the focused distance an edge spreads by the circle of confusion; in focus not."""
     focus = Focus(aperture_mm=8.0, distance_mm=1040.0)

@@ -13,6 +13,8 @@ import pytest
 from instruments.world.sensor import NORMAL_EXPOSURE_S, Exposure, OpticalReadout, OpticalSensor
 from tests.instruments.bath.peers import foreign
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (300, 400)
 LEVELS = np.linspace(0.0, 1.1, 23)  # of what fills a pixel
 # at level 1: the referee wants a scale, and K, noise and patterns don't depend on it

@@ -84,6 +84,7 @@ def test_drift_grows_with_the_time_and_ends_at_a_flat_field_event() -> None:
     assert seen - 20.0 == pytest.approx(one, abs=0.006)
 
 
+@pytest.mark.slow
 def test_level_drift_has_the_declared_spread_over_many_events() -> None:
     camera = thermal(Drift(level_k_per_min=0.3, pattern_k_per_min=0.0, every_s=60.0))
     ends = [camera.drift_k(60.0 * i + 30.0).mean() / 0.5 for i in range(200)]

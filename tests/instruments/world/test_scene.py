@@ -66,6 +66,7 @@ def test_an_end_outside_of_the_image_is_not_visible() -> None:
     assert visible[:, :2].all()
 
 
+@pytest.mark.slow
 def test_dim_light_dims_and_a_standing_thing_darkens_the_table_at_its_foot() -> None:
     left = renderer().left
     dim = left.expected(replace(NOBODY, lighting=Lighting(brightness=0.3)))
@@ -93,6 +94,7 @@ def test_a_scene_that_makes_no_sense_is_refused(change: dict[str, Any], message:
         replace(warm(), **change)
 
 
+@pytest.mark.slow
 def test_a_thing_in_a_camera_s_face_is_refused() -> None:
     near = make_object("ball", x_mm=-200.0, y_mm=-800.0, z_mm=80.0, radius_mm=20.0)
     state = replace(warm(), objects=(near,))

@@ -121,6 +121,7 @@ def test_what_is_warm_and_cold_is_so() -> None:
         )
 
 
+@pytest.mark.slow
 def test_the_cup_stays_below_the_ends_and_the_arm_behind_them() -> None:
     for found in members("hot_body_at_base"):
         rim_mm = max(hull.b_mm[2] for hull in found.objects[0].hulls)
