@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments import world as package
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.solids import Ints, Solids, square_to
 
@@ -139,12 +140,9 @@ def merged(layer: Layer) -> Layer:
     )
 
 
-STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
 # round an end whose radius in px is above, up to
 RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))
-MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
 NEAREST_MM = 50.0
-NOTHING = 1e-4  # less cover than this is no cover
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,35 +197,13 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     """Each solid's polygon (m, 2) in the ideal plane."""
     counts = np.array([len(outline) for outline in corners], dtype=np.intp)
-    start = np.concatenate(corners).T.copy()
-    way = start[:, _following(counts)] - start
-    # edges in pieces of STEP_PX, those near the image kept, and distorted
-    x_px, y_px = way * camera.fc[:, None]
-    pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0).astype(np.intp)
-    edge, part = _repeated(pieces)
-    # where the lens puts these points, from the first pixel's corner, px
-    plane = start[:, edge] + part * (way / pieces)[:, edge]
-    low, high = (limit[:, None] for limit in _plane_window(camera))
-    pixels = camera.pixels_from_plane(np.minimum(np.maximum(plane, low), high).T).T
-    size = np.array([[camera.width_px], [camera.height_px]], dtype=np.float64)
-    # From here a pixel reaches from its number to the next one.
-    points = np.minimum(np.maximum(pixels + 0.5, -MARGIN_PX), size + MARGIN_PX)
-    counts = np.add.reduceat(pieces, np.cumsum(counts) - counts)
-    end = points[:, _following(counts)]
-    return _areas(counts, points, end, camera)
-
-
-def _following(counts: Ints) -> Ints:
-    """The point after each one of closed outlines of so many points."""
-    after, lasts = np.arange(1, int(counts.sum()) + 1), np.cumsum(counts) - 1
-    after[lasts] = lasts - counts + 1
-    return after
-
-
-def _repeated(counts: Ints) -> tuple[Ints, Ints]:
-    """Each place of ``counts`` so many times, and the number of each repetition from 0."""
-    which = np.repeat(np.arange(len(counts)), counts)
-    return which, np.arange(len(which)) - (np.cumsum(counts) - counts)[which]
+    lens = np.array([*camera.fc, *camera.cc, camera.alpha_c, *camera.kc])
+    size = camera.width_px, camera.height_px
+    counts, points = package.kernels.distorted(
+        counts, np.concatenate(corners), lens, _plane_window(camera), np.array(size, np.float64)
+    )
+    (solid, row, column), share = package.kernels.areas(counts, points, *size)
+    return Cover(solid, row, column, share)
 
 
 def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
@@ -249,63 +225,12 @@ def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
 
 
 @lru_cache(maxsize=16)  # cameras are few and never change
-def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
-    """A part of the ideal plane with the image and its margin: a lens model may fold beyond it."""
-    w, h = camera.width_px + MARGIN_PX, camera.height_px + MARGIN_PX
-    u, v = np.meshgrid(np.linspace(-MARGIN_PX, w, 9), np.linspace(-MARGIN_PX, h, 9))
-    plane = camera.plane_from_pixels(np.column_stack([u.ravel(), v.ravel()]))
-    return plane.min(axis=0), plane.max(axis=0)
-
-
-def _areas(counts: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
-    """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero. Edges
-    (2, n), the outlines' one after the other.
+def _plane_window(camera: CameraModel) -> Floats:
+    """A part of the ideal plane with the image and its margin, its corners (2, 2): a lens model may
+    fold beyond it.
     """
-    runs = np.cumsum(counts) - counts
-    x0, y0 = np.floor(np.minimum.reduceat(start, runs, axis=1)).astype(np.intp)
-    right, bottom = np.floor(np.maximum.reduceat(start, runs, axis=1)).astype(np.intp)
-    width, height = right - x0 + 2, bottom - y0 + 1
-    offset = np.concatenate([[0], np.cumsum(width * height)])
-    edge, here, there = _split_at_pixels(start, end)
-    middle = 0.5 * (here + there)
-    column, row = np.floor(middle).astype(np.intp)
-    who = np.repeat(np.arange(len(counts)), counts)[edge]
-    cell = (offset[:-1] - y0 * width - x0)[who] + row * width[who] + column
-    rise = there[1] - here[1]
-    right_part = rise * (middle[0] - column)
-    total = int(offset[-1]) + 1
-    change = np.bincount(cell, rise - right_part, total) + np.bincount(cell + 1, right_part, total)
-    share = np.cumsum(change, out=change)
-    np.minimum(np.abs(share, out=share), 1.0, out=share)
-    flat = np.flatnonzero(share > NOTHING)
-    # both are in order, so each solid's cells are one run
-    solid, begins, wide, left, top = np.repeat(
-        [np.arange(len(counts)), offset[:-1], width, x0, y0],
-        np.diff(np.searchsorted(flat, offset)),
-        axis=1,
-    )
-    place = flat - begins
-    row = ((place + 0.5) / wide).astype(np.intp)  # a division of whole numbers is slower
-    column = place - row * wide + left
-    row += top
-    inside = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
-    return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
-
-
-def _split_at_pixels(start: Floats, end: Floats) -> tuple[Ints, Floats, Floats]:
-    """Cut edges (2, n) where they cross from pixel to pixel: which edge, from, to."""
-    way, count = end - start, start.shape[1]
-    first = np.floor(np.minimum(start, end)) + 1.0
-    crossings = np.maximum(np.ceil(np.maximum(start, end)) - first, 0.0).astype(np.intp)
-    crossed, number = _repeated(crossings.ravel())  # of x, then of y
-    line = first.ravel()[crossed] + number
-    part = np.minimum((line - start.ravel()[crossed]) / way.ravel()[crossed], 1.0 - 1e-9)
-    # the edge's number and how far along it: one sort orders both
-    key = np.sort(np.concatenate([np.arange(count, dtype=np.float64), crossed % count + part]))
-    edge = np.minimum(key.astype(np.intp), count - 1)
-    here = start[:, edge] + (key - edge) * way[:, edge]
-    there = np.empty_like(here)
-    there[:, :-1] = here[:, 1:]
-    last = np.flatnonzero(np.append(edge[1:] != edge[:-1], True))
-    there[:, last] = end[:, edge[last]]
-    return edge, here, there
+    margin = package.kernels.MARGIN_PX
+    w, h = camera.width_px + margin, camera.height_px + margin
+    u, v = np.meshgrid(np.linspace(-margin, w, 9), np.linspace(-margin, h, 9))
+    plane = camera.plane_from_pixels(np.column_stack([u.ravel(), v.ravel()]))
+    return np.stack([plane.min(axis=0), plane.max(axis=0)])
