@@ -62,9 +62,10 @@ def lay_over(
         at, behind = pixel[once], flat[pixel[once]]
         flat[at] = behind + share[once] * (value[once] - behind)
         if len(shared):
-            at, light, behind, _ = _stacked(
+            nearest, light, behind = _stacked(
                 pixel[shared], share[shared], depth[shared], owner[shared], value[shared]
             )
+            at = pixel[shared[nearest]]
             flat[at] = light + behind * flat[at]
 
 
@@ -89,28 +90,14 @@ def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[Layer]]:
 
 def _stacked(
     pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
-) -> tuple[Ints, Floats, Floats, Ints]:
-    """Surfaces in pixels (m,): pixel, light, share seen past them, the nearest of each."""
+) -> tuple[Ints, NDArray[Any], Floats]:
+    """Surfaces in pixels (m,): the nearest of each, light, share seen past them."""
     # One key orders by pixel, then depth: a third of the time of two, and fine to 1e-4 mm.
     order = np.argsort(pixel + depth / (1.0 + 2.0 * depth.max()))
-    sorted_pixel = pixel[order]
-    starts = np.append(True, sorted_pixel[1:] != sorted_pixel[:-1])
-    place = np.cumsum(starts) - 1
-    rank = np.arange(len(order)) - np.flatnonzero(starts)[place]
-    nearest = order[starts]
-    widest, last_owner = share[nearest], owner[nearest]
-    light = widest * value[nearest]
-    behind = np.ones(len(nearest))  # share of the pixel seen past all finished objects
-    for step in range(1, int(rank.max(initial=0)) + 1):
-        at = np.flatnonzero(rank == step)
-        now, here = order[at], place[at]
-        fresh = last_owner[here] != owner[now]
-        behind[here] *= np.where(fresh, 1.0 - widest[here], 1.0)
-        before = np.where(fresh, 0.0, widest[here])
-        after = np.maximum(before, share[now])
-        light[here] += behind[here] * (after - before) * value[now]
-        widest[here], last_owner[here] = after, owner[now]
-    return sorted_pixel[starts], light, behind * (1.0 - widest), nearest
+    kind = np.result_type(value, np.float64)  # complex as two numbers
+    pair = value.astype(kind).view(np.float64).reshape(len(value), -1)
+    nearest, light, behind = package.kernels.stacked(order, pixel, share, owner, pair)
+    return nearest, light.view(kind)[:, 0], behind
 
 
 def merged(layer: Layer) -> Layer:
@@ -125,7 +112,7 @@ def merged(layer: Layer) -> Layer:
     if not len(many):
         return layer
     owner, value = np.zeros(len(many), dtype=np.intp), layer.value
-    _, light, behind, nearest = _stacked(
+    nearest, light, behind = _stacked(
         pixel[many], layer.share[many], layer.depth_mm[many], owner, value[many]
     )
     keep, seen = np.concatenate([once, many[nearest]]), 1.0 - behind

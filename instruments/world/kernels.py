@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
@@ -156,3 +157,116 @@ def areas(counts: Ints, points: Floats, wide: int, tall: int) -> tuple[Ints, Flo
                     at += 1
                 cell += 1
     return places[:, :at].copy(), shares[:at].copy()
+
+
+@_compiled("void(f8[:, ::1], i8[:], f8[::1], f8[::1], f8[::1], f8[:, ::1], b1[::1])")
+def meet(
+    columns: Floats, which: Ints, x: Floats, y: Floats, depth: Floats, normal: Floats, hit: Bools
+) -> None:
+    """Ray (x, y, 1) with solid ``which``, (n,) each: fills depth (n,), normal (3, n), hit (n,).
+    ``columns`` (k, 23): axis, qb by ray (3), bend, h0, qc, slope, radius_0, low, high, a,
+    b, both radii, and whether each end is flat.
+    """
+    for i in range(len(which)):
+        solid, u, v = columns[which[i]], x[i], y[i]
+        axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc, slope, radius_0 = solid[:11]
+        dh = u * axis_x + v * axis_y + axis_z
+        qb = u * b_x + v * b_y + b_z
+        # a ray along the axis meets an end, never the body
+        qa = max(u * u + v * v + 1.0 - bend * dh * dh, 1e-9)
+        under = qb * qb - qa * qc
+        far = (-qb - np.sqrt(max(under, 0.0))) / qa
+        height, met = h0 + far * dh, under >= 0.0
+        # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
+        along = height + slope * (radius_0 + slope * height)
+        n_x = far * u - solid[13] - along * axis_x
+        n_y = far * v - solid[14] - along * axis_y
+        n_z = far - solid[15] - along * axis_z
+        for end in range(2):
+            if height <= solid[12] if end else height >= solid[11]:
+                continue
+            c_x, c_y, c_z = solid[13 + 3 * end], solid[14 + 3 * end], solid[15 + 3 * end]
+            radius = solid[19 + end]
+            if solid[21 + end] > 0.0:
+                # A ray that misses keeps the rim's depth and normal from the cone.
+                turn = 1.0 if end else -1.0
+                o_x, o_y, o_z = turn * axis_x, turn * axis_y, turn * axis_z
+                towards = u * o_x + v * o_y + o_z
+                there = (c_x * o_x + c_y * o_y + c_z * o_z) / (towards if towards < -1e-9 else -1.0)
+                off_x, off_y, off_z = there * u - c_x, there * v - c_y, there - c_z
+                met = off_x * off_x + off_y * off_y + off_z * off_z <= radius * radius
+                met = met and towards < -1e-9
+                if met:
+                    far, n_x, n_y, n_z = there, o_x, o_y, o_z
+            else:
+                # Distance of the centre from the ray first: b^2 - a c would lose half of the
+                # digits at a metre.
+                long = u * u + v * v + 1.0
+                middle = (u * c_x + v * c_y + c_z) / long
+                off_x, off_y, off_z = middle * u - c_x, middle * v - c_y, middle - c_z
+                left = radius * radius - (off_x * off_x + off_y * off_y + off_z * off_z)
+                far, met = middle - np.sqrt(max(left, 0.0) / long), left >= 0.0
+                n_x, n_y, n_z = far * u - c_x, far * v - c_y, far - c_z
+        length = np.sqrt(n_x * n_x + n_y * n_y + n_z * n_z)
+        depth[i], hit[i] = far, met
+        normal[0, i], normal[1, i], normal[2, i] = n_x / length, n_y / length, n_z / length
+
+
+@_compiled("Tuple((i8[::1], f8[:, ::1], f8[::1]))(i8[::1], i8[::1], f8[::1], i8[::1], f8[:, ::1])")
+def stacked(
+    order: Ints, pixel: Ints, share: Floats, owner: Ints, value: Floats
+) -> tuple[Ints, Floats, Floats]:
+    """Surfaces (m,) in pixels, in an ``order`` by pixel, then depth, with values (m, c): the
+    nearest of each pixel, its light (n, c), the share seen past all (n,).
+    """
+    count = 0
+    for i in range(len(order)):
+        count += i == 0 or pixel[order[i]] != pixel[order[i - 1]]
+    nearest, behind = np.empty(count, np.int64), np.empty(count)
+    light = np.zeros((count, value.shape[1]))
+    place, widest, past = -1, 0.0, 1.0
+    for i in range(len(order)):
+        now = order[i]
+        if i == 0 or pixel[now] != pixel[order[i - 1]]:
+            place, widest, past = place + 1, 0.0, 1.0
+            nearest[place] = now
+        elif owner[now] != owner[order[i - 1]]:
+            widest, past = 0.0, past * (1.0 - widest)
+        after = max(widest, share[now])
+        for channel in range(value.shape[1]):
+            light[place, channel] += past * (after - widest) * value[now, channel]
+        widest = after
+        behind[place] = past * (1.0 - widest)
+    return nearest, light, behind
+
+
+@_compiled("void(f4[:, ::1], f4[:, ::1], f4[::1], f4, f4[::1])")
+def lamp_left(
+    casters: Singles, points: Singles, lamp: Singles, lamp_radius: float, left: Singles
+) -> None:
+    """Lowers ``left`` (n,) to the share of a round lamp that points (3, n) see beside casters
+    (k, 8): one end, the way to the other, radius, how much wider there. Rays' gaps by penumbra.
+    """
+    for i in range(points.shape[1]):
+        x, y, z = points[0, i], points[1, i], points[2, i]
+        way_x, way_y, way_z = lamp[0] - x, lamp[1] - y, lamp[2] - z
+        far = np.sqrt(way_x * way_x + way_y * way_y + way_z * way_z)
+        way_x, way_y, way_z = way_x / far, way_y / far, way_z / far
+        for caster in casters:
+            # the ray's and the segment's nearest points: least distance, place on ray and segment
+            a_x, a_y, a_z, span_x, span_y, span_z, radius, wider = caster
+            off_x, off_y, off_z = x - a_x, y - a_y, z - a_z
+            cross = way_x * span_x + way_y * span_y + way_z * span_z
+            d_way = off_x * way_x + off_y * way_y + off_z * way_z
+            d_span = off_x * span_x + off_y * span_y + off_z * span_z
+            square = span_x * span_x + span_y * span_y + span_z * span_z
+            under = max(square - cross * cross, np.float32(1e-3))
+            part = min(max((d_span - d_way * cross) / under, np.float32(0.0)), np.float32(1.0))
+            along = max(part * cross - d_way, np.float32(0.0))
+            off_x = off_x + along * way_x - part * span_x
+            off_y = off_y + along * way_y - part * span_y
+            off_z = off_z + along * way_z - part * span_z
+            gap = np.sqrt(off_x * off_x + off_y * off_y + off_z * off_z)
+            half_shade = max(along, np.float32(2.0)) * (lamp_radius / far)
+            lit = np.float32(0.5) + np.float32(0.5) * (gap - (radius + part * wider)) / half_shade
+            left[i] = min(left[i], min(max(lit, np.float32(0.0)), np.float32(1.0)))

@@ -33,9 +33,10 @@ from instruments.world.sensor import (
     reach_px,
 )
 from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen_light
-from instruments.world.solids import BLOCK, Ints, dot, intersect
+from instruments.world.solids import Ints, dot, intersect
 from instruments.world.state import SceneState, Stage
 
+BLOCK = 8192  # pairs at a time: what is worked out on the way stays in the processor's cache
 KEPT_PIXELS = 100_000  # 5 MB a camera: a scene or two
 T = TypeVar("T")
 
