@@ -247,26 +247,53 @@ def lamp_left(
     """Lowers ``left`` (n,) to the share of a round lamp that points (3, n) see beside casters
     (k, 8): one end, the way to the other, radius, how much wider there. Rays' gaps by penumbra.
     """
-    for i in range(points.shape[1]):
-        x, y, z = points[0, i], points[1, i], points[2, i]
-        way_x, way_y, way_z = lamp[0] - x, lamp[1] - y, lamp[2] - z
-        far = np.sqrt(way_x * way_x + way_y * way_y + way_z * way_z)
-        way_x, way_y, way_z = way_x / far, way_y / far, way_z / far
-        for caster in casters:
+    none, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    for k in range(len(casters)):
+        a_x, a_y, a_z, span_x, span_y, span_z, radius, wider = casters[k]
+        square = span_x * span_x + span_y * span_y + span_z * span_z
+        for i in range(len(left)):
+            x, y, z = points[0, i], points[1, i], points[2, i]
+            way_x, way_y, way_z = lamp[0] - x, lamp[1] - y, lamp[2] - z
+            far = np.sqrt(way_x * way_x + way_y * way_y + way_z * way_z)
+            way_x, way_y, way_z = way_x / far, way_y / far, way_z / far
             # the ray's and the segment's nearest points: least distance, place on ray and segment
-            a_x, a_y, a_z, span_x, span_y, span_z, radius, wider = caster
             off_x, off_y, off_z = x - a_x, y - a_y, z - a_z
             cross = way_x * span_x + way_y * span_y + way_z * span_z
             d_way = off_x * way_x + off_y * way_y + off_z * way_z
             d_span = off_x * span_x + off_y * span_y + off_z * span_z
-            square = span_x * span_x + span_y * span_y + span_z * span_z
             under = max(square - cross * cross, np.float32(1e-3))
-            part = min(max((d_span - d_way * cross) / under, np.float32(0.0)), np.float32(1.0))
-            along = max(part * cross - d_way, np.float32(0.0))
+            part = min(max((d_span - d_way * cross) / under, none), one)
+            along = max(part * cross - d_way, none)
             off_x = off_x + along * way_x - part * span_x
             off_y = off_y + along * way_y - part * span_y
             off_z = off_z + along * way_z - part * span_z
             gap = np.sqrt(off_x * off_x + off_y * off_y + off_z * off_z)
             half_shade = max(along, np.float32(2.0)) * (lamp_radius / far)
-            lit = np.float32(0.5) + np.float32(0.5) * (gap - (radius + part * wider)) / half_shade
-            left[i] = min(left[i], min(max(lit, np.float32(0.0)), np.float32(1.0)))
+            lit = half + half * (gap - (radius + part * wider)) / half_shade
+            left[i] = min(left[i], min(max(lit, none), one))
+
+
+@_compiled("void(f4[:, ::1], f4[:, ::1], f4[::1], f4[::1], f4, f4[::1], f4[:, ::1])")
+def lamp_light(
+    points: Singles, normals: Singles, eye: Singles, lamp: Singles, power: float, albedo: Singles,
+    parts: Singles,
+) -> None:
+    """Fills ``parts`` (3, n) with a lamp's light of ``power`` at 1 mm on points (3, n) with unit
+    normals: how strong it comes, which share Lambert's law sends on, and how near it comes to the
+    mirrored ``eye`` (3,), 0 to 1.
+    """
+    none = np.float32(0.0)
+    for i in range(len(albedo)):
+        x, y, z = points[0, i], points[1, i], points[2, i]
+        view_x, view_y, view_z = eye[0] - x, eye[1] - y, eye[2] - z
+        near = np.sqrt(view_x * view_x + view_y * view_y + view_z * view_z)
+        way_x, way_y, way_z = lamp[0] - x, lamp[1] - y, lamp[2] - z
+        square = way_x * way_x + way_y * way_y + way_z * way_z
+        far = np.sqrt(square)
+        way_x, way_y, way_z = way_x / far, way_y / far, way_z / far
+        half_x, half_y, half_z = way_x + view_x / near, way_y + view_y / near, way_z + view_z / near
+        n_x, n_y, n_z = normals[0, i], normals[1, i], normals[2, i]
+        length = np.sqrt(half_x * half_x + half_y * half_y + half_z * half_z)
+        parts[0, i] = power / square
+        parts[1, i] = albedo[i] * max(way_x * n_x + way_y * n_y + way_z * n_z, none)
+        parts[2, i] = max(half_x * n_x + half_y * n_y + half_z * n_z, none) / length

@@ -329,7 +329,7 @@ class OpticalCamera:
         stage = Stage.of(things)
         seen = self.view.surfaces(stage)
         turn = self.view.camera.R.T.astype(np.float32)
-        eye = self.view.camera.centre_mm.astype(np.float32)[:, None]
+        eye = self.view.camera.centre_mm.astype(np.float32)
         looks = [(thing.paint.albedo, thing.paint.gloss) for thing in things]
         paints = np.array(looks, dtype=np.float32).reshape(-1, 2).T
         exponents = np.array([thing.paint.gloss_exponent for thing in things], dtype=np.float32)
@@ -337,7 +337,8 @@ class OpticalCamera:
         light = np.empty(len(seen.owner), dtype=np.float32)
         for start in range(0, len(light), BLOCK):
             part = slice(start, start + BLOCK)
-            points = turn @ (seen.depth_mm[part] * seen.rays[:, part]).astype(np.float32) + eye
+            points = turn @ (seen.depth_mm[part] * seen.rays[:, part]).astype(np.float32)
+            points += eye[:, None]
             normals = turn @ seen.normals[:, part].astype(np.float32)
             owner = seen.owner[part]
             albedo, gloss = np.repeat(paints, np.bincount(owner, minlength=len(things)), axis=1)
