@@ -37,6 +37,21 @@ NEARLY_ALL = 1.0 - 1e-9
 NOTHING = 1e-4  # less cover than this is no cover
 
 
+@_compiled("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, :])")
+def rings(centre: Floats, u: Floats, v: Floats, circle: Floats, seen: Floats) -> None:
+    """Fills ``seen`` (k, m, 2) with circles of ``circle`` (m, 2) in the ideal plane: round
+    ``centre`` (k, 4), the last its radius, in the plane of unit vectors ``u`` and ``v`` (k, 3).
+    """
+    for i in range(len(centre)):
+        radius = centre[i, 3]
+        for j in range(len(circle)):
+            cos, sin = circle[j]
+            x = centre[i, 0] + radius * (cos * u[i, 0] + sin * v[i, 0])
+            y = centre[i, 1] + radius * (cos * u[i, 1] + sin * v[i, 1])
+            z = centre[i, 2] + radius * (cos * u[i, 2] + sin * v[i, 2])
+            seen[i, j, 0], seen[i, j, 1] = x / z, y / z
+
+
 @_compiled("Tuple((i8[::1], f8[:, ::1]))(i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])")
 def distorted(
     counts: Ints, corners: Floats, lens: Floats, window: Floats, size: Floats
@@ -212,7 +227,39 @@ def meet(
         normal[0, i], normal[1, i], normal[2, i] = n_x / length, n_y / length, n_z / length
 
 
-@_compiled("Tuple((i8[::1], f8[:, ::1], f8[::1]))(i8[::1], i8[::1], f8[::1], i8[::1], f8[:, ::1])")
+@_compiled("Tuple((i8[::1], i8))(i8[::1], f8[::1])")
+def by_pixel(pixel: Ints, depth: Floats) -> tuple[Ints, int]:
+    """An order of surfaces (m,): those alone in their pixel, and how many; then by pixel, the
+    nearest first.
+    """
+    low = pixel.min()
+    often = np.zeros(pixel.max() - low + 1, np.int32)
+    for i in range(len(pixel)):
+        often[pixel[i] - low] += 1
+    alone = 0
+    for i in range(len(pixel)):
+        alone += often[pixel[i] - low] == 1
+    order, at = np.empty(len(pixel), np.int64), 0
+    start, filled = np.zeros_like(often), np.zeros_like(often)
+    end = alone
+    for cell in range(len(often)):
+        if often[cell] > 1:
+            start[cell], end = end, end + often[cell]
+    for i in range(len(pixel)):
+        cell = pixel[i] - low
+        if often[cell] == 1:
+            order[at], at = i, at + 1
+            continue
+        place = start[cell] + filled[cell]
+        filled[cell] += 1
+        while place > start[cell] and depth[order[place - 1]] > depth[i]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = i
+    return order, alone
+
+
+@_compiled("Tuple((i8[::1], f8[:, ::1], f8[::1]))(i8[:], i8[::1], f8[::1], i8[::1], f8[:, ::1])")
 def stacked(
     order: Ints, pixel: Ints, share: Floats, owner: Ints, value: Floats
 ) -> tuple[Ints, Floats, Floats]:
