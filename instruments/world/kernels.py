@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
+Words = NDArray[np.uint16]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 Loop = TypeVar("Loop", bound=Callable[..., Any])
@@ -322,7 +323,12 @@ def lamp_left(
 
 @_compiled("void(f4[:, ::1], f4[:, ::1], f4[::1], f4[::1], f4, f4[::1], f4[:, ::1])")
 def lamp_light(
-    points: Singles, normals: Singles, eye: Singles, lamp: Singles, power: float, albedo: Singles,
+    points: Singles,
+    normals: Singles,
+    eye: Singles,
+    lamp: Singles,
+    power: float,
+    albedo: Singles,
     parts: Singles,
 ) -> None:
     """Fills ``parts`` (3, n) with a lamp's light of ``power`` at 1 mm on points (3, n) with unit
@@ -344,3 +350,36 @@ def lamp_light(
         parts[0, i] = power / square
         parts[1, i] = albedo[i] * max(way_x * n_x + way_y * n_y + way_z * n_z, none)
         parts[2, i] = max(half_x * n_x + half_y * n_y + half_z * n_z, none) / length
+
+
+@_compiled("void(f4[:, :], f4[:, :], f4, f4, f4, f4[:, :])")
+def fill(
+    light: Singles, response: Singles, filled: float, dark: float, full: float, electrons: Singles
+) -> None:
+    """Fills pixels (h, w): ``filled`` electrons at light 1, and ``dark``, ``full`` at most."""
+    for i in range(light.shape[0]):
+        for j in range(light.shape[1]):
+            electrons[i, j] = min(light[i, j] * response[i, j] * filled + dark, full)
+
+
+@_compiled("void(f4[::1], f4[::1], u2[::1], f4[::1], f4, f4, f4, f4, f4, u2[::1])")
+def expose(
+    electrons: Singles,
+    offsets_e: Singles,
+    noise: Words,
+    levels: Singles,
+    read2: float,
+    gain2: float,
+    gain: float,
+    offset: float,
+    most: float,
+    exposed: Words,
+) -> None:
+    """Fills pixels (n,) with whole grey levels, 0 to ``most``; the noise is the one of ``levels``
+    that each of ``noise`` names. Variance: gain2 (electrons + read2), EMVA 1288.
+    """
+    for i in range(len(electrons)):
+        spread = np.sqrt((electrons[i] + read2) * gain2)
+        mean = (electrons[i] + offsets_e[i]) * gain + offset
+        grey = np.rint(levels[noise[i]] * spread + mean)
+        exposed[i] = np.uint16(min(max(grey, np.float32(0.0)), most))

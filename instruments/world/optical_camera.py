@@ -203,7 +203,7 @@ class OpticalCamera:
 
     def expected(self, state: SceneState, shadows: ShadowMap | None = None) -> Image:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
-        return self._expected(state, shadows).mean.copy()
+        return self.readout.mean(self._expected(state, shadows))
 
     def _expected(self, state: SceneState, shadows: ShadowMap | None) -> ExpectedFrame:
         """The frame before noise; kept while nothing changes."""
@@ -217,7 +217,8 @@ class OpticalCamera:
                 camera, sensor = self.view.camera, self.readout.sensor
                 empty, soft = _empty(state.backdrop, state.lighting, camera, sensor)
                 still = blurred(empty, sensor.blur_px) if soft is None else soft
-                self._still = lit, still, ExpectedFrame(np.empty_like(still), np.empty_like(still))
+                gain = sensor.gain_dn_per_e * state.exposure.gain
+                self._still = lit, still, ExpectedFrame(np.empty_like(still), gain)
                 self._changed = [(slice(0, camera.height_px), slice(0, camera.width_px))]
             (_, still, frame), drawn = self._still, self._drawn(state, shadows)
             changed = [part for part, _ in drawn]

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments import world as package
 from instruments.world.optics import Floats
 
 Image = NDArray[np.float32]
@@ -35,12 +36,16 @@ def _normal_levels() -> Image:
     return np.asarray(levels / levels.std(), dtype=np.float32)
 
 
+def _words(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
+    """Random numbers of 16 bits, which name normal levels."""
+    bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
+    return bits.astype("<u8", copy=False).view("<u2")[:count].astype(np.uint16, copy=False)
+
+
 def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma."""
-    count = shape[0] * shape[1]
-    bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
-    level = bits.astype("<u8", copy=False).view("<u2")[:count].astype(np.uint16, copy=False)
-    return np.asarray(cv2.LUT(level.reshape(shape), _normal_levels()), dtype=np.float32)
+    level = _words(rng, shape[0] * shape[1]).reshape(shape)
+    return np.asarray(cv2.LUT(level, _normal_levels()), dtype=np.float32)
 
 
 def in_blocks(image: Image) -> Iterator[slice]:
@@ -147,10 +152,10 @@ class OpticalSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedFrame:
-    """A frame before noise: mean grey level and its standard deviation."""
+    """A frame before noise: electrons of each pixel, (h, w), and how many grey levels one makes."""
 
-    mean: Image
-    spread: Image
+    electrons: Image
+    gain_dn_per_e: float
 
 
 class OpticalReadout:
@@ -176,41 +181,30 @@ class OpticalReadout:
         frame: ExpectedFrame | None = None,
     ) -> ExpectedFrame:
         """What light on the sensor gives, (h, w), or on a ``part`` of it, written there in the
-        ``frame``. Variance: K^2 (electrons + read noise^2), EMVA 1288; a full well holds no more.
+        ``frame``: a full well holds no more.
         """
-        shutter = exposure or Exposure()
-        whole = frame or ExpectedFrame(np.empty_like(light), np.empty_like(light))
-        sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
-        full = np.float32(sensor.full_well_e)
-        dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
-        filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
-        mean, spread = whole.mean[part], whole.spread[part]
-        response, dark_e = self._response[part], self._dark_e[part]
-        for rows in in_blocks(light):
-            electrons, variance = mean[rows], spread[rows]
-            np.multiply(light[rows], response[rows], out=electrons)
-            electrons *= filled
-            electrons += dark
-            np.minimum(electrons, full, out=electrons)
-            np.add(electrons, np.float32(sensor.read_noise_e**2), out=variance)
-            variance *= np.float32(gain**2)
-            np.sqrt(variance, out=variance)
-            electrons += dark_e[rows]
-            electrons *= np.float32(gain)
-            electrons += np.float32(sensor.offset_dn)
+        sensor, shutter = self.sensor, exposure or Exposure()
+        gain = sensor.gain_dn_per_e * shutter.gain
+        whole = frame or ExpectedFrame(np.empty_like(light), gain)
+        filled = sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S
+        dark, electrons = sensor.dark_e_per_s * shutter.time_s, whole.electrons[part]
+        package.kernels.fill(
+            light, self._response[part], filled, dark, sensor.full_well_e, electrons
+        )
         return whole
+
+    def mean(self, frame: ExpectedFrame) -> Image:
+        """Mean grey levels, (h, w)."""
+        grey = (frame.electrons + self._dark_e) * np.float32(frame.gain_dn_per_e)
+        return np.asarray(grey + np.float32(self.sensor.offset_dn))
 
     def expose(self, expected: ExpectedFrame, rng: np.random.Generator) -> Grey:
         """One exposure with fresh noise, uint8 (uint16 above 8 bits)."""
-        mean, spread = expected.mean, expected.spread
-        noise = normal_noise(rng, (mean.shape[0], mean.shape[1]))
-        depth, kind = (cv2.CV_16U, np.uint16) if self.sensor.bits > 8 else (cv2.CV_8U, np.uint8)
-        exposed: Grey = np.empty(mean.shape, dtype=kind)
-        for rows in in_blocks(mean):
-            part = noise[rows]
-            part *= spread[rows]
-            cv2.add(part, mean[rows], exposed[rows], dtype=depth)
-        most = 2**self.sensor.bits - 1
-        if most < np.iinfo(kind).max:  # else it has saturated there
-            np.minimum(exposed, kind(most), out=exposed)
-        return exposed
+        sensor, gain, electrons = self.sensor, expected.gain_dn_per_e, expected.electrons
+        exposed = np.empty(electrons.shape, dtype=np.uint16)
+        package.kernels.expose(
+            electrons.reshape(-1), self._dark_e.reshape(-1), _words(rng, electrons.size),
+            _normal_levels(), sensor.read_noise_e**2, gain**2, gain, sensor.offset_dn,
+            2**sensor.bits - 1, exposed.reshape(-1),
+        )  # fmt: skip
+        return exposed if sensor.bits > 8 else exposed.astype(np.uint8)
