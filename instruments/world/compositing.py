@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from instruments import world as package
 from instruments.world.optics import CameraModel, Floats
+from instruments.world.sensor import Part
 from instruments.world.solids import Ints, Solids, square_to
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Layer:
     """One object in one camera: each pixel (n,) that it covers, with its ``share``, ``depth_mm``,
     and ``value``: light, emissivity or phasor. ``along``: 0 to 1 between its two temperatures.
@@ -37,6 +38,19 @@ class Layer:
 
     def __len__(self) -> int:
         return len(self.share)
+
+    @cached_property
+    def around(self) -> Part:
+        """The part of an image that it covers; of one that covers a pixel."""
+        return (
+            slice(int(self.row.min()), int(self.row.max()) + 1),
+            slice(int(self.column.min()), int(self.column.max()) + 1),
+        )
+
+    @cached_property
+    def mean_depth_mm(self) -> float:
+        """Of its pixels, however much it covers of each."""
+        return float(self.depth_mm.mean())
 
 
 def lay_over(
@@ -145,9 +159,7 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
         which = np.flatnonzero((size_px > above) & (size_px <= up_to))
         if len(which) == 0:
             continue
-        clouds = np.empty((len(which), 2 * points, 2))
-        _ring(solids, which, True, clouds[:, :points])
-        _ring(solids, which, False, clouds[:, points:])
+        clouds = _ends(solids, which, points)
         coarse = clouds.astype(np.float32, order="C")
         for number, cloud, rough in zip(which.tolist(), clouds, coarse, strict=True):
             corners[number] = cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
@@ -182,22 +194,28 @@ def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     return Cover(solid, row, column, share)
 
 
-def _ring(solids: Solids, which: Ints, at_a: bool, seen: Floats) -> None:
-    """Outline of one end of each solid, into (k, points, 2): a disc's rim, or a ball's limb."""
-    centre = (solids.a if at_a else solids.b)[which]
-    radius = (solids.radius_a if at_a else solids.radius_b)[which]
-    flat = (solids.flat_a if at_a else solids.flat_b)[which]
-    distance = np.linalg.norm(centre, axis=1)
-    across = np.where(flat[:, None], solids.axis[which], centre / distance[:, None])
+def _ends(solids: Solids, which: Ints, points: int) -> Floats:
+    """Outlines of both ends of each solid in the ideal plane, (k, 2 points, 2): a disc's rim, or a
+    ball's limb.
+    """
+    centre, radius, flat = (
+        np.stack([a[which], b[which]], axis=1).reshape(2 * len(which), -1)
+        for a, b in (
+            (solids.a, solids.b),
+            (solids.radius_a, solids.radius_b),
+            (solids.flat_a, solids.flat_b),
+        )
+    )
+    distance = np.linalg.norm(centre, axis=1)[:, None]
+    across = np.where(flat, np.repeat(solids.axis[which], 2, axis=0), centre / distance)
     shrink = np.where(flat, 0.0, (radius / distance) ** 2)
-    centre = centre * (1.0 - shrink)[:, None]
     # A polygon inscribed in a circle is a little small; this one has the circle's area.
-    step = 2.0 * np.pi / seen.shape[1]
+    step = 2.0 * np.pi / points
     radius = radius * np.sqrt(1.0 - shrink) * np.sqrt(step / np.sin(step))
-    u, v = (np.ascontiguousarray(way) for way in square_to(across))
-    angle = np.arange(seen.shape[1]) * step
+    angle = np.arange(points) * step
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    package.kernels.rings(np.column_stack([centre, radius]), u, v, circle, seen)
+    rings = np.hstack([centre * (1.0 - shrink), radius, *square_to(across)])
+    return np.asarray(package.kernels.rings(rings, circle)).reshape(len(which), -1, 2)
 
 
 @lru_cache(maxsize=16)  # cameras are few and never change

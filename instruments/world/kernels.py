@@ -32,25 +32,31 @@ def _compiled(signature: str) -> Callable[[Loop], Loop]:
     return compiled
 
 
+def _within(loop: Loop) -> Loop:
+    """Compiled as a part of those that call it."""
+    return cast("Loop", numba.njit(error_model="numpy")(loop))
+
+
 STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
 MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
 NEARLY_ALL = 1.0 - 1e-9
 NOTHING = 1e-4  # less cover than this is no cover
 
 
-@_compiled("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, :])")
-def rings(centre: Floats, u: Floats, v: Floats, circle: Floats, seen: Floats) -> None:
-    """Fills ``seen`` (k, m, 2) with circles of ``circle`` (m, 2) in the ideal plane: round
-    ``centre`` (k, 4), the last its radius, in the plane of unit vectors ``u`` and ``v`` (k, 3).
+@_compiled("f8[:, :, ::1](f8[:, ::1], f8[:, ::1])")
+def rings(placed: Floats, circle: Floats) -> Floats:
+    """Circles of ``circle`` (m, 2) in the ideal plane, (k, m, 2). ``placed`` (k, 10): centre,
+    radius, and two unit vectors across.
     """
-    for i in range(len(centre)):
-        radius = centre[i, 3]
+    seen = np.empty((len(placed), len(circle), 2))
+    for i in range(len(placed)):
+        c_x, c_y, c_z, radius, u_x, u_y, u_z, v_x, v_y, v_z = placed[i]
         for j in range(len(circle)):
             cos, sin = circle[j]
-            x = centre[i, 0] + radius * (cos * u[i, 0] + sin * v[i, 0])
-            y = centre[i, 1] + radius * (cos * u[i, 1] + sin * v[i, 1])
-            z = centre[i, 2] + radius * (cos * u[i, 2] + sin * v[i, 2])
-            seen[i, j, 0], seen[i, j, 1] = x / z, y / z
+            z = c_z + radius * (cos * u_z + sin * v_z)
+            seen[i, j, 0] = (c_x + radius * (cos * u_x + sin * v_x)) / z
+            seen[i, j, 1] = (c_y + radius * (cos * u_y + sin * v_y)) / z
+    return seen
 
 
 @_compiled("Tuple((i8[::1], f8[:, ::1]))(i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])")
@@ -97,81 +103,95 @@ def distorted(
     return parts, points
 
 
+@_within
+def _edge(
+    number: int,
+    x: float,
+    y: float,
+    to_x: float,
+    to_y: float,
+    base: int,
+    width: int,
+    change: Floats,
+    spill: Floats,
+) -> None:
+    """Adds an edge's signed areas, pixel by pixel, to a window ``width`` wide whose pixel (0, 0)
+    would be at ``base``: what changes at a pixel, and at the next one.
+    """
+    way_x, way_y = to_x - x, to_y - y
+    # lines between pixels that it crosses: the next ones, and how many are left
+    low_x, low_y = np.floor(min(x, to_x)), np.floor(min(y, to_y))
+    left_x = int(max(np.ceil(max(x, to_x)) - low_x - 1.0, 0.0))
+    left_y = int(max(np.ceil(max(y, to_y)) - low_y - 1.0, 0.0))
+    turn_x, turn_y = 1.0 if way_x > 0.0 else -1.0, 1.0 if way_y > 0.0 else -1.0
+    line_x = low_x + (1.0 if way_x > 0.0 else left_x)
+    line_y = low_y + (1.0 if way_y > 0.0 else left_y)
+    here_x, here_y, last = x, y, False
+    while not last:
+        part_x = min((line_x - x) / way_x, NEARLY_ALL) if left_x else np.inf
+        part_y = min((line_y - y) / way_y, NEARLY_ALL) if left_y else np.inf
+        if left_x and part_x <= part_y:
+            part, left_x, line_x = part_x, left_x - 1, line_x + turn_x
+        elif left_y:
+            part, left_y, line_y = part_y, left_y - 1, line_y + turn_y
+        else:
+            part, last = 1.0, True
+        part = (number + part) - number  # as exact as one sort of all edges' crossings was
+        there_x = to_x if last else x + part * way_x
+        there_y = to_y if last else y + part * way_y
+        middle = 0.5 * (here_x + there_x)
+        column = np.floor(middle)
+        cell = base + int(np.floor(0.5 * (here_y + there_y))) * width + int(column)
+        rise = there_y - here_y
+        right = rise * (middle - column)
+        change[cell] += rise - right
+        spill[cell + 1] += right
+        here_x, here_y = there_x, there_y
+
+
 @_compiled("Tuple((i8[:, ::1], f8[::1]))(i8[::1], f8[:, ::1], i8, i8)")
 def areas(counts: Ints, points: Floats, wide: int, tall: int) -> tuple[Ints, Floats]:
     """Which share of each pixel closed outlines of ``counts`` points (n, 2) cover: (3, m) outline,
-    row, column, and shares (m,), by outline. Signed areas in windows; their rows sum to zero.
+    row, column, and shares (m,), by outline. Signed areas in windows, whose rows sum to zero.
     """
-    runs = np.empty((len(counts), 4), np.int64)
+    windows = np.empty((len(counts), 4), np.int64)
     cells, first = 0, 0
     for i in range(len(counts)):
-        low_x = low_y = np.inf
-        high_x = high_y = -np.inf
+        low_x, low_y = points[first]
+        high_x, high_y = low_x, low_y
         for j in range(first, first + counts[i]):
             low_x, high_x = min(low_x, points[j, 0]), max(high_x, points[j, 0])
             low_y, high_y = min(low_y, points[j, 1]), max(high_y, points[j, 1])
-        first += counts[i]
         left, top = int(np.floor(low_x)), int(np.floor(low_y))
-        runs[i, 0], runs[i, 1] = left, top
-        runs[i, 2] = int(np.floor(high_x)) - left + 2
-        runs[i, 3] = int(np.floor(high_y)) - top + 1
-        cells += runs[i, 2] * runs[i, 3]
+        windows[i, 0], windows[i, 1] = left, int(np.floor(high_x)) + 2
+        windows[i, 2], windows[i, 3] = top, int(np.floor(high_y)) + 1
+        cells += (windows[i, 1] - left) * (windows[i, 3] - top)
+        first += counts[i]
     change, spill = np.zeros(cells + 1), np.zeros(cells + 1)
-    offset, first = 0, 0
+    cells, first = 0, 0
     for i in range(len(counts)):
-        stop, width = first + counts[i], runs[i, 2]
-        base = offset - runs[i, 1] * width - runs[i, 0]
+        left, right, top, bottom = windows[i]
+        base = cells - top * (right - left) - left
+        stop = first + counts[i]
         for j in range(first, stop):
             after = j + 1 if j + 1 < stop else first
-            x, y = points[j, 0], points[j, 1]
-            way_x, way_y = points[after, 0] - x, points[after, 1] - y
-            # lines between pixels that it crosses, in its order, with where along it, 0 to 1
-            low_x, low_y = np.floor(min(x, points[after, 0])), np.floor(min(y, points[after, 1]))
-            left_x = int(max(np.ceil(max(x, points[after, 0])) - low_x - 1.0, 0.0))
-            left_y = int(max(np.ceil(max(y, points[after, 1])) - low_y - 1.0, 0.0))
-            turn_x, turn_y = 1.0 if way_x > 0.0 else -1.0, 1.0 if way_y > 0.0 else -1.0
-            line_x = low_x + (1.0 if way_x > 0.0 else left_x)
-            line_y = low_y + (1.0 if way_y > 0.0 else left_y)
-            here_x, here_y, last = x, y, False
-            while not last:
-                part_x = min((line_x - x) / way_x, NEARLY_ALL) if left_x else np.inf
-                part_y = min((line_y - y) / way_y, NEARLY_ALL) if left_y else np.inf
-                if left_x and part_x <= part_y:
-                    part, left_x, line_x = part_x, left_x - 1, line_x + turn_x
-                elif left_y:
-                    part, left_y, line_y = part_y, left_y - 1, line_y + turn_y
-                else:
-                    part, last = 1.0, True
-                part = (j + part) - j  # as exact as numbers that order all crossings by outline
-                there_x = points[after, 0] if last else x + part * way_x
-                there_y = points[after, 1] if last else y + part * way_y
-                middle = 0.5 * (here_x + there_x)
-                column = np.floor(middle)
-                row = np.floor(0.5 * (here_y + there_y))
-                cell = base + int(row) * width + int(column)
-                rise = there_y - here_y
-                right = rise * (middle - column)
-                change[cell] += rise - right
-                spill[cell + 1] += right
-                here_x, here_y = there_x, there_y
-        offset += width * runs[i, 3]
+            x, y = points[after]
+            _edge(j, points[j, 0], points[j, 1], x, y, base, right - left, change, spill)
+        cells += (right - left) * (bottom - top)
         first = stop
-    share, count = 0.0, 0
-    for cell in range(cells):
-        share += change[cell] + spill[cell]
-        change[cell] = min(abs(share), 1.0)
-        count += change[cell] > NOTHING
-    places, shares = np.empty((3, count), np.int64), np.empty(count)
-    cell, at = 0, 0
+    places, shares = np.empty((3, cells), np.int64), np.empty(cells)
+    cell, at, sum_ = 0, 0, 0.0
     for i in range(len(counts)):
-        for row in range(runs[i, 1], runs[i, 1] + runs[i, 3]):
-            for column in range(runs[i, 0], runs[i, 0] + runs[i, 2]):
-                inside = 0 <= row < tall and 0 <= column < wide
-                if inside and change[cell] > NOTHING:
-                    places[0, at], places[1, at], places[2, at] = i, row, column
-                    shares[at] = change[cell]
-                    at += 1
+        left, right, top, bottom = windows[i]
+        for row in range(top, bottom):
+            for column in range(left, right):
+                sum_ += change[cell] + spill[cell]
+                share = min(abs(sum_), 1.0)
                 cell += 1
+                if share > NOTHING and 0 <= row < tall and 0 <= column < wide:
+                    places[0, at], places[1, at], places[2, at] = i, row, column
+                    shares[at] = share
+                    at += 1
     return places[:, :at].copy(), shares[:at].copy()
 
 
@@ -233,15 +253,17 @@ def by_pixel(pixel: Ints, depth: Floats) -> tuple[Ints, int]:
     """An order of surfaces (m,): those alone in their pixel, and how many; then by pixel, the
     nearest first.
     """
-    low = pixel.min()
-    often = np.zeros(pixel.max() - low + 1, np.int32)
+    low = high = pixel[0]
+    for i in range(len(pixel)):
+        low, high = min(low, pixel[i]), max(high, pixel[i])
+    often = np.zeros(high - low + 1, np.int32)
     for i in range(len(pixel)):
         often[pixel[i] - low] += 1
     alone = 0
     for i in range(len(pixel)):
         alone += often[pixel[i] - low] == 1
     order, at = np.empty(len(pixel), np.int64), 0
-    start, filled = np.zeros_like(often), np.zeros_like(often)
+    start, filled = np.zeros(len(often), np.int32), np.zeros(len(often), np.int32)
     end = alone
     for cell in range(len(often)):
         if often[cell] > 1:

@@ -239,20 +239,16 @@ class OpticalCamera:
         empty, soft = _empty(state.backdrop, state.lighting, camera, self.readout.sensor)
         dark = shade(shadows, state.backdrop, camera) if shadows else None
         layers = [layer for seen in moments for layer in seen if len(layer)]
-        parts = [_around(layer) for layer in layers] + ([dark[0]] if dark else [])
+        parts = [layer.around for layer in layers] + ([dark[0]] if dark else [])
         if not parts:
             return []
         reach = reach_px(max(self._blurs(layers), default=self.readout.sensor.blur_px))
         part = _wider(_joined(parts), reach, empty.shape)
         wide = _wider(part, reach, empty.shape)  # the lens brings light from there
-        row, column = wide[0].start, wide[1].start
         dark = dark and (_within(dark[0], wide), dark[1])
         behind = empty[wide], None if soft is None else soft[wide], dark
         pictures = (
-            self._lens(
-                *behind, [replace(x, row=x.row - row, column=x.column - column) for x in seen]
-            )
-            for seen in moments
+            self._lens(*behind, wide, [one for one in seen if len(one)]) for seen in moments
         )
         light = next(pictures)
         for other in pictures:
@@ -280,23 +276,24 @@ class OpticalCamera:
         empty: Image,
         soft: Image | None,
         dark: tuple[Part, Image] | None,
+        wide: Part,
         layers: Sequence[Layer],
     ) -> Image:
-        """Light on the sensor; out-of-focus things in layers, far to near."""
-        sharp, apart = self.readout.sensor.blur_px, [layer for layer in layers if len(layer)]
-        blurs = self._blurs(apart)
+        """Light on a part of the sensor; out-of-focus things in layers, far to near."""
+        sharp, blurs = self.readout.sensor.blur_px, self._blurs(layers)
         if soft is None and max(blurs, default=sharp) > sharp:
             soft = blurred(empty, sharp)
         light = (empty if soft is None else soft).copy()
         if dark is not None:
             light[dark[0]] *= dark[1]
         if soft is None:
-            lay_over(light, layers)
+            lay_over(light, layers, (wide[0].start, wide[1].start))
             return blurred(light, sharp)
-        for i in sorted(range(len(apart)), key=lambda i: -float(apart[i].depth_mm.mean())):
-            layer, sigma = apart[i], blurs[i]
-            part = _wider(_around(layer), reach_px(sigma), light.shape, lanes=1)
-            corner, behind = (part[0].start, part[1].start), light[part]
+        shape = self.view.rays[0].shape
+        for i in sorted(range(len(layers)), key=lambda i: -layers[i].mean_depth_mm):
+            layer, sigma = layers[i], blurs[i]
+            part = _wider(layer.around, reach_px(sigma), shape, lanes=1)
+            corner, behind = (part[0].start, part[1].start), light[_within(part, wide)]
             cover, own = np.zeros_like(behind), np.zeros_like(behind)
             lay_over(own, [layer], corner)
             lay_over(cover, [replace(layer, value=np.ones_like(layer.value))], corner)
@@ -307,7 +304,7 @@ class OpticalCamera:
     def _blurs(self, layers: Sequence[Layer]) -> list[float]:
         """Blur of each layer's picture, sigma in px."""
         sensor, sharp = self.readout.sensor, self.readout.sensor.blur_px
-        depths = (float(layer.depth_mm.mean()) for layer in layers)
+        depths = (layer.mean_depth_mm for layer in layers)
         blurs = (float(_sigma_px(sensor, depth, self._focal_px)) for depth in depths)
         return [sigma if sigma - sharp > SHARP_PX else sharp for sigma in blurs]
 
@@ -374,12 +371,6 @@ def _sigma_px(
 ) -> Floats:
     """Blur at a depth, of the lens and out of focus."""
     return np.asarray(np.hypot(sensor.focus.sigma_px(depth_mm, focal_px), sensor.blur_px))
-
-
-def _around(layer: Layer) -> Part:
-    """The part of an image that a layer covers."""
-    rows, columns = (slice(int(at.min()), int(at.max()) + 1) for at in (layer.row, layer.column))
-    return rows, columns
 
 
 def _joined(parts: Sequence[Part]) -> Part:
