@@ -43,6 +43,37 @@ NEARLY_ALL = 1.0 - 1e-9
 NOTHING = 1e-4  # less cover than this is no cover
 
 
+@_compiled("b1(f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], i8, f8)")
+def undistort(
+    x_d: Floats, y_d: Floats, kc: Floats, x: Floats, y: Floats, steps: int, enough: float
+) -> bool:
+    """Newton's iteration from ``x`` and ``y`` (n,) on, until each one's last step is small
+    enough: whether it came to that.
+    """
+    k1, k2, p1, p2, k3 = kc
+    for _ in range(steps):
+        far = 0
+        for i in range(len(x)):
+            u, v = x[i], y[i]
+            r2 = u * u + v * v
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))  # d radial / d r2, twice
+            uv = u * v
+            miss_u = u * radial + 2.0 * p1 * uv + p2 * (r2 + 2.0 * u * u) - x_d[i]
+            miss_v = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * uv - y_d[i]
+            uu = radial + slope * u * u + 2.0 * p1 * v + 6.0 * p2 * u
+            vv = radial + slope * v * v + 6.0 * p1 * v + 2.0 * p2 * u
+            cross = slope * uv + 2.0 * p1 * u + 2.0 * p2 * v
+            scale = 1.0 / (uu * vv - cross * cross)
+            step_u = (vv * miss_u - cross * miss_v) * scale
+            step_v = (uu * miss_v - cross * miss_u) * scale
+            x[i], y[i] = u - step_u, v - step_v
+            far += not (abs(step_u) < enough and abs(step_v) < enough)
+        if not far:
+            return True
+    return False
+
+
 @_compiled("f8[:, :, ::1](f8[:, ::1], f8[:, ::1])")
 def rings(placed: Floats, circle: Floats) -> Floats:
     """Circles of ``circle`` (m, 2) in the ideal plane, (k, m, 2). ``placed`` (k, 10): centre,
