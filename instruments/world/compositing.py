@@ -100,11 +100,10 @@ def _stacked(
     pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
 ) -> tuple[Ints, Ints, NDArray[Any], Floats]:
     """Surfaces in pixels (m,): those alone there; the nearest of others, light, share seen past."""
-    order, alone = package.kernels.by_pixel(pixel, depth)
     kind = np.result_type(value, np.float64)  # complex as two numbers
     pair = value.astype(kind).view(np.float64).reshape(len(value), -1)
-    nearest, light, behind = package.kernels.stacked(order[alone:], pixel, share, owner, pair)
-    return order[:alone], nearest, light.view(kind)[:, 0], behind
+    alone, nearest, light, behind = package.kernels.stacked(pixel, share, depth, owner, pair)
+    return alone, nearest, light.view(kind)[:, 0], behind
 
 
 def merged(layer: Layer) -> Layer:
@@ -131,6 +130,7 @@ def merged(layer: Layer) -> Layer:
 
 # round an end whose radius in px is above, up to
 RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))
+MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than a piece of one
 NEAREST_MM = 50.0
 
 
@@ -185,11 +185,11 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     """Each solid's polygon (m, 2) in the ideal plane."""
     counts = np.array([len(outline) for outline in corners], dtype=np.intp)
-    lens = np.array([*camera.fc, *camera.cc, camera.alpha_c, *camera.kc])
-    size = camera.width_px, camera.height_px
-    counts, points = package.kernels.distorted(
-        counts, np.concatenate(corners), lens, _plane_window(camera), np.array(size, np.float64)
-    )
+    window, margin, size = _plane_window(camera), MARGIN_PX, (camera.width_px, camera.height_px)
+    counts, plane = package.kernels.pieces(counts, np.concatenate(corners), camera.fc, window)
+    # From here a pixel reaches from its number to the next one.
+    pixels = camera.pixels_from_plane(plane) + 0.5
+    points = np.minimum(np.maximum(pixels, -margin), np.add(size, margin))
     (solid, row, column), share = package.kernels.areas(counts, points, *size)
     return Cover(solid, row, column, share)
 
@@ -223,8 +223,7 @@ def _plane_window(camera: CameraModel) -> Floats:
     """A part of the ideal plane with the image and its margin, its corners (2, 2): a lens model may
     fold beyond it.
     """
-    margin = package.kernels.MARGIN_PX
-    w, h = camera.width_px + margin, camera.height_px + margin
-    u, v = np.meshgrid(np.linspace(-margin, w, 9), np.linspace(-margin, h, 9))
+    w, h = camera.width_px + MARGIN_PX, camera.height_px + MARGIN_PX
+    u, v = np.meshgrid(np.linspace(-MARGIN_PX, w, 9), np.linspace(-MARGIN_PX, h, 9))
     plane = camera.plane_from_pixels(np.column_stack([u.ravel(), v.ravel()]))
     return np.stack([plane.min(axis=0), plane.max(axis=0)])

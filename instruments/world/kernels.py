@@ -18,6 +18,7 @@ Singles = NDArray[np.float32]
 Words = NDArray[np.uint16]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
+Vector = tuple[float, float, float]
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
@@ -38,7 +39,6 @@ def _within(loop: Loop) -> Loop:
 
 
 STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
-MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
 NEARLY_ALL = 1.0 - 1e-9
 NOTHING = 1e-4  # less cover than this is no cover
 
@@ -90,48 +90,35 @@ def rings(placed: Floats, circle: Floats) -> Floats:
     return seen
 
 
-@_compiled("Tuple((i8[::1], f8[:, ::1]))(i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])")
-def distorted(
-    counts: Ints, corners: Floats, lens: Floats, window: Floats, size: Floats
-) -> tuple[Ints, Floats]:
-    """Closed outlines of ``counts`` corners (n, 2) in the ideal plane, in pieces of STEP_PX, those
-    near the image kept: how many pieces each, and their starts (m, 2) as the lens puts them, from
-    the first pixel's corner, px.
+@_compiled("Tuple((i8[::1], f8[:, ::1]))(i8[::1], f8[:, ::1], f8[::1], f8[:, ::1])")
+def pieces(counts: Ints, corners: Floats, fc: Floats, window: Floats) -> tuple[Ints, Floats]:
+    """Closed outlines of ``counts`` corners (n, 2) in the ideal plane, in pieces of STEP_PX, within
+    a ``window`` (2, 2): how many pieces of each, and where these begin, (m, 2).
     """
-    fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = lens
-    pieces = np.empty(len(corners), np.int64)
-    parts = np.empty(len(counts), np.int64)
-    first = 0
+    parts, total, first = np.empty(len(corners), np.int64), 0, 0
+    after = np.arange(1, len(corners) + 1)
     for i in range(len(counts)):
-        stop, parts[i] = first + counts[i], 0
-        for j in range(first, stop):
-            after = j + 1 if j + 1 < stop else first
-            x = (corners[after, 0] - corners[j, 0]) * fx
-            y = (corners[after, 1] - corners[j, 1]) * fy
-            pieces[j] = int(max(np.ceil(np.sqrt(x * x + y * y) / STEP_PX), 1.0))
-            parts[i] += pieces[j]
-        first = stop
-    points = np.empty((parts.sum(), 2))
-    first, at = 0, 0
+        after[first + counts[i] - 1] = first
+        first += counts[i]
+    for j in range(len(corners)):
+        x = (corners[after[j], 0] - corners[j, 0]) * fc[0]
+        y = (corners[after[j], 1] - corners[j, 1]) * fc[1]
+        parts[j] = int(max(np.ceil(np.sqrt(x * x + y * y) / STEP_PX), 1.0))
+        total += parts[j]
+    points, at = np.empty((total, 2)), 0
+    for j in range(len(corners)):
+        for axis in range(2):
+            step = (corners[after[j], axis] - corners[j, axis]) / parts[j]
+            for part in range(parts[j]):
+                place = max(corners[j, axis] + part * step, window[0, axis])
+                points[at + part, axis] = min(place, window[1, axis])
+        at += parts[j]
+    each, first = np.zeros(len(counts), np.int64), 0
     for i in range(len(counts)):
-        stop = first + counts[i]
-        for j in range(first, stop):
-            after = j + 1 if j + 1 < stop else first
-            step_x = (corners[after, 0] - corners[j, 0]) / pieces[j]
-            step_y = (corners[after, 1] - corners[j, 1]) / pieces[j]
-            for part in range(pieces[j]):
-                x = min(max(corners[j, 0] + part * step_x, window[0, 0]), window[1, 0])
-                y = min(max(corners[j, 1] + part * step_y, window[0, 1]), window[1, 1])
-                r2 = x * x + y * y
-                radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-                u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-                v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-                u, v = fx * (u + skew * v) + cx, fy * v + cy
-                points[at, 0] = min(max(u + 0.5, -MARGIN_PX), size[0] + MARGIN_PX)
-                points[at, 1] = min(max(v + 0.5, -MARGIN_PX), size[1] + MARGIN_PX)
-                at += 1
-        first = stop
-    return parts, points
+        for j in range(first, first + counts[i]):
+            each[i] += parts[j]
+        first += counts[i]
+    return each, points
 
 
 @_within
@@ -226,119 +213,119 @@ def areas(counts: Ints, points: Floats, wide: int, tall: int) -> tuple[Ints, Flo
     return places[:, :at].copy(), shares[:at].copy()
 
 
+@_within
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@_within
+def _plus(a: Vector, times: float, b: Vector) -> Vector:
+    return a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]
+
+
+@_within
+def _unit(a: Vector) -> Vector:
+    length = np.sqrt(_dot(a, a))
+    return a[0] / length, a[1] / length, a[2] / length
+
+
 @_compiled("void(f8[:, ::1], i8[:], f8[::1], f8[::1], f8[::1], f8[:, ::1], b1[::1])")
 def meet(
     columns: Floats, which: Ints, x: Floats, y: Floats, depth: Floats, normal: Floats, hit: Bools
 ) -> None:
     """Ray (x, y, 1) with solid ``which``, (n,) each: fills depth (n,), normal (3, n), hit (n,).
-    ``columns`` (k, 23): axis, qb by ray (3), bend, h0, qc, slope, radius_0, low, high, a,
-    b, both radii, and whether each end is flat.
+    ``columns`` (k, 23): axis, qb by ray (3), bend, h0, qc, slope, radius_0, low, high, ways from
+    ends a and b to the camera, both radii, and whether each end is flat.
     """
     for i in range(len(which)):
-        solid, u, v = columns[which[i]], x[i], y[i]
-        axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc, slope, radius_0 = solid[:11]
-        dh = u * axis_x + v * axis_y + axis_z
-        qb = u * b_x + v * b_y + b_z
+        solid, ray = columns[which[i]], (x[i], y[i], 1.0)
+        axis, by_ray = (solid[0], solid[1], solid[2]), (solid[3], solid[4], solid[5])
+        bend, h0, qc, slope, radius_0, low, high = solid[6:13]
+        dh, qb, long = _dot(ray, axis), _dot(ray, by_ray), _dot(ray, ray)
         # a ray along the axis meets an end, never the body
-        qa = max(u * u + v * v + 1.0 - bend * dh * dh, 1e-9)
+        qa = max(long - bend * dh * dh, 1e-9)
         under = qb * qb - qa * qc
-        far = (-qb - np.sqrt(max(under, 0.0))) / qa
-        height, met = h0 + far * dh, under >= 0.0
+        far, met = (-qb - np.sqrt(max(under, 0.0))) / qa, under >= 0.0
+        height = h0 + far * dh
         # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
         along = height + slope * (radius_0 + slope * height)
-        n_x = far * u - solid[13] - along * axis_x
-        n_y = far * v - solid[14] - along * axis_y
-        n_z = far - solid[15] - along * axis_z
+        outward = _plus(_plus((solid[13], solid[14], solid[15]), far, ray), -along, axis)
         for end in range(2):
-            if height <= solid[12] if end else height >= solid[11]:
+            if not (height > high if end else height < low):
                 continue
-            c_x, c_y, c_z = solid[13 + 3 * end], solid[14 + 3 * end], solid[15 + 3 * end]
-            radius = solid[19 + end]
-            if solid[21 + end] > 0.0:
+            back = (solid[13 + 3 * end], solid[14 + 3 * end], solid[15 + 3 * end])
+            square = solid[19 + end] * solid[19 + end]
+            if solid[21 + end]:
                 # A ray that misses keeps the rim's depth and normal from the cone.
                 turn = 1.0 if end else -1.0
-                o_x, o_y, o_z = turn * axis_x, turn * axis_y, turn * axis_z
-                towards = u * o_x + v * o_y + o_z
-                there = (c_x * o_x + c_y * o_y + c_z * o_z) / (towards if towards < -1e-9 else -1.0)
-                off_x, off_y, off_z = there * u - c_x, there * v - c_y, there - c_z
-                met = off_x * off_x + off_y * off_y + off_z * off_z <= radius * radius
-                met = met and towards < -1e-9
+                towards = turn * _dot(ray, axis)
+                there = -turn * _dot(back, axis) / (towards if towards < -1e-9 else -1.0)
+                off = _plus(back, there, ray)
+                met = towards < -1e-9 and _dot(off, off) <= square
                 if met:
-                    far, n_x, n_y, n_z = there, o_x, o_y, o_z
+                    far, outward = there, (turn * axis[0], turn * axis[1], turn * axis[2])
             else:
                 # Distance of the centre from the ray first: b^2 - a c would lose half of the
                 # digits at a metre.
-                long = u * u + v * v + 1.0
-                middle = (u * c_x + v * c_y + c_z) / long
-                off_x, off_y, off_z = middle * u - c_x, middle * v - c_y, middle - c_z
-                left = radius * radius - (off_x * off_x + off_y * off_y + off_z * off_z)
-                far, met = middle - np.sqrt(max(left, 0.0) / long), left >= 0.0
-                n_x, n_y, n_z = far * u - c_x, far * v - c_y, far - c_z
-        length = np.sqrt(n_x * n_x + n_y * n_y + n_z * n_z)
+                middle = -_dot(ray, back) / long
+                off = _plus(back, middle, ray)
+                under = square - _dot(off, off)
+                far, met = middle - np.sqrt(max(under, 0.0) / long), under >= 0.0
+                outward = _plus(back, far, ray)
         depth[i], hit[i] = far, met
-        normal[0, i], normal[1, i], normal[2, i] = n_x / length, n_y / length, n_z / length
+        normal[0, i], normal[1, i], normal[2, i] = _unit(outward)
 
 
-@_compiled("Tuple((i8[::1], i8))(i8[::1], f8[::1])")
-def by_pixel(pixel: Ints, depth: Floats) -> tuple[Ints, int]:
-    """An order of surfaces (m,): those alone in their pixel, and how many; then by pixel, the
-    nearest first.
+@_compiled(
+    "Tuple((i8[::1], i8[::1], f8[:, ::1], f8[::1]))(i8[::1], f8[::1], f8[::1], i8[:], f8[:, ::1])"
+)
+def stacked(
+    pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: Floats
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Surfaces (m,) in pixels, with values (m, c): those alone there; of others by pixel the
+    nearest, light (n, c), and the share seen past all.
     """
     low = high = pixel[0]
     for i in range(len(pixel)):
         low, high = min(low, pixel[i]), max(high, pixel[i])
-    often = np.zeros(high - low + 1, np.int32)
+    often, start, filled = np.zeros((3, high - low + 1), np.int32)
     for i in range(len(pixel)):
         often[pixel[i] - low] += 1
-    alone = 0
-    for i in range(len(pixel)):
-        alone += often[pixel[i] - low] == 1
-    order, at = np.empty(len(pixel), np.int64), 0
-    start, filled = np.zeros(len(often), np.int32), np.zeros(len(often), np.int32)
-    end = alone
+    shared, count = 0, 0
     for cell in range(len(often)):
         if often[cell] > 1:
-            start[cell], end = end, end + often[cell]
+            start[cell], shared, count = shared, shared + often[cell], count + 1
+    alone, at = np.empty(len(pixel) - shared, np.int64), 0
+    order = np.empty(shared, np.int64)
     for i in range(len(pixel)):
         cell = pixel[i] - low
         if often[cell] == 1:
-            order[at], at = i, at + 1
+            alone[at], at = i, at + 1
             continue
         place = start[cell] + filled[cell]
         filled[cell] += 1
         while place > start[cell] and depth[order[place - 1]] > depth[i]:
-            order[place] = order[place - 1]
-            place -= 1
+            order[place], place = order[place - 1], place - 1
         order[place] = i
-    return order, alone
-
-
-@_compiled("Tuple((i8[::1], f8[:, ::1], f8[::1]))(i8[:], i8[::1], f8[::1], i8[::1], f8[:, ::1])")
-def stacked(
-    order: Ints, pixel: Ints, share: Floats, owner: Ints, value: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Surfaces (m,) in pixels, in an ``order`` by pixel, then depth, with values (m, c): the
-    nearest of each pixel, its light (n, c), the share seen past all (n,).
-    """
-    count = 0
-    for i in range(len(order)):
-        count += i == 0 or pixel[order[i]] != pixel[order[i - 1]]
-    nearest, behind = np.empty(count, np.int64), np.empty(count)
-    light = np.zeros((count, value.shape[1]))
-    place, widest, past = -1, 0.0, 1.0
-    for i in range(len(order)):
+    nearest, light, behind = (
+        np.empty(count, np.int64),
+        np.zeros((count, value.shape[1])),
+        np.empty(count),
+    )
+    at, widest, past = -1, 0.0, 1.0
+    for i in range(shared):
         now = order[i]
         if i == 0 or pixel[now] != pixel[order[i - 1]]:
-            place, widest, past = place + 1, 0.0, 1.0
-            nearest[place] = now
+            at, widest, past = at + 1, 0.0, 1.0
+            nearest[at] = now
         elif owner[now] != owner[order[i - 1]]:
             widest, past = 0.0, past * (1.0 - widest)
         after = max(widest, share[now])
         for channel in range(value.shape[1]):
-            light[place, channel] += past * (after - widest) * value[now, channel]
+            light[at, channel] += past * (after - widest) * value[now, channel]
         widest = after
-        behind[place] = past * (1.0 - widest)
-    return nearest, light, behind
+        behind[at] = past * (1.0 - widest)
+    return alone, nearest, light, behind
 
 
 @_compiled("void(f4[:, ::1], f4[:, ::1], f4[::1], f4, f4[::1])")
@@ -349,27 +336,20 @@ def lamp_left(
     (k, 8): one end, the way to the other, radius, how much wider there. Rays' gaps by penumbra.
     """
     none, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    for k in range(len(casters)):
-        a_x, a_y, a_z, span_x, span_y, span_z, radius, wider = casters[k]
-        square = span_x * span_x + span_y * span_y + span_z * span_z
+    for caster in casters:
+        span, radius, wider = (caster[3], caster[4], caster[5]), caster[6], caster[7]
         for i in range(len(left)):
-            x, y, z = points[0, i], points[1, i], points[2, i]
-            way_x, way_y, way_z = lamp[0] - x, lamp[1] - y, lamp[2] - z
-            far = np.sqrt(way_x * way_x + way_y * way_y + way_z * way_z)
-            way_x, way_y, way_z = way_x / far, way_y / far, way_z / far
+            point = (points[0, i], points[1, i], points[2, i])
+            way = _plus((lamp[0], lamp[1], lamp[2]), -one, point)
+            far, way = np.sqrt(_dot(way, way)), _unit(way)
             # the ray's and the segment's nearest points: least distance, place on ray and segment
-            off_x, off_y, off_z = x - a_x, y - a_y, z - a_z
-            cross = way_x * span_x + way_y * span_y + way_z * span_z
-            d_way = off_x * way_x + off_y * way_y + off_z * way_z
-            d_span = off_x * span_x + off_y * span_y + off_z * span_z
-            under = max(square - cross * cross, np.float32(1e-3))
+            off = _plus(point, -one, (caster[0], caster[1], caster[2]))
+            cross, d_way, d_span = _dot(way, span), _dot(off, way), _dot(off, span)
+            under = max(_dot(span, span) - cross * cross, np.float32(1e-3))
             part = min(max((d_span - d_way * cross) / under, none), one)
             along = max(part * cross - d_way, none)
-            off_x = off_x + along * way_x - part * span_x
-            off_y = off_y + along * way_y - part * span_y
-            off_z = off_z + along * way_z - part * span_z
-            gap = np.sqrt(off_x * off_x + off_y * off_y + off_z * off_z)
-            half_shade = max(along, np.float32(2.0)) * (lamp_radius / far)
+            off = _plus(_plus(off, along, way), -part, span)
+            gap, half_shade = np.sqrt(_dot(off, off)), max(along, one + one) * (lamp_radius / far)
             lit = half + half * (gap - (radius + part * wider)) / half_shade
             left[i] = min(left[i], min(max(lit, none), one))
 
@@ -388,51 +368,35 @@ def lamp_light(
     normals: how strong it comes, which share Lambert's law sends on, and how near it comes to the
     mirrored ``eye`` (3,), 0 to 1.
     """
-    none = np.float32(0.0)
+    none, one = np.float32(0.0), np.float32(1.0)
     for i in range(len(albedo)):
-        x, y, z = points[0, i], points[1, i], points[2, i]
-        view_x, view_y, view_z = eye[0] - x, eye[1] - y, eye[2] - z
-        near = np.sqrt(view_x * view_x + view_y * view_y + view_z * view_z)
-        way_x, way_y, way_z = lamp[0] - x, lamp[1] - y, lamp[2] - z
-        square = way_x * way_x + way_y * way_y + way_z * way_z
-        far = np.sqrt(square)
-        way_x, way_y, way_z = way_x / far, way_y / far, way_z / far
-        half_x, half_y, half_z = way_x + view_x / near, way_y + view_y / near, way_z + view_z / near
-        n_x, n_y, n_z = normals[0, i], normals[1, i], normals[2, i]
-        length = np.sqrt(half_x * half_x + half_y * half_y + half_z * half_z)
+        point = (points[0, i], points[1, i], points[2, i])
+        normal = (normals[0, i], normals[1, i], normals[2, i])
+        way = _plus((lamp[0], lamp[1], lamp[2]), -one, point)
+        square, way = _dot(way, way), _unit(way)
+        half = _plus(way, one, _unit(_plus((eye[0], eye[1], eye[2]), -one, point)))
         parts[0, i] = power / square
-        parts[1, i] = albedo[i] * max(way_x * n_x + way_y * n_y + way_z * n_z, none)
-        parts[2, i] = max(half_x * n_x + half_y * n_y + half_z * n_z, none) / length
+        parts[1, i] = albedo[i] * max(_dot(way, normal), none)
+        parts[2, i] = max(_dot(half, normal), none) / np.sqrt(_dot(half, half))
 
 
-@_compiled("void(f4[:, :], f4[:, :], f4, f4, f4, f4[:, :])")
-def fill(
-    light: Singles, response: Singles, filled: float, dark: float, full: float, electrons: Singles
-) -> None:
-    """Fills pixels (h, w): ``filled`` electrons at light 1, and ``dark``, ``full`` at most."""
-    for i in range(light.shape[0]):
-        for j in range(light.shape[1]):
-            electrons[i, j] = min(light[i, j] * response[i, j] * filled + dark, full)
-
-
-@_compiled("void(f4[::1], f4[::1], u2[::1], f4[::1], f4, f4, f4, f4, f4, u2[::1])")
+@_compiled("void(f4[:, :], f4[:, :], f4[:, :], u2[:, :], f4[:], f4[:], u2[:, :])")
 def expose(
-    electrons: Singles,
-    offsets_e: Singles,
+    light: Singles,
+    response: Singles,
+    dark_e: Singles,
     noise: Words,
     levels: Singles,
-    read2: float,
-    gain2: float,
-    gain: float,
-    offset: float,
-    most: float,
+    constants: Singles,
     exposed: Words,
 ) -> None:
-    """Fills pixels (n,) with whole grey levels, 0 to ``most``; the noise is the one of ``levels``
-    that each of ``noise`` names. Variance: gain2 (electrons + read2), EMVA 1288.
+    """Fills pixels (h, w) with whole grey levels: the noise is the one of ``levels`` that each of
+    ``noise`` names, its variance K^2 (electrons + read noise^2), EMVA 1288.
     """
-    for i in range(len(electrons)):
-        spread = np.sqrt((electrons[i] + read2) * gain2)
-        mean = (electrons[i] + offsets_e[i]) * gain + offset
-        grey = np.rint(levels[noise[i]] * spread + mean)
-        exposed[i] = np.uint16(min(max(grey, np.float32(0.0)), most))
+    filled, dark, full, read2, gain2, gain, offset, most = constants
+    for i in range(light.shape[0]):
+        for j in range(light.shape[1]):
+            electrons = min(light[i, j] * response[i, j] * filled + dark, full)
+            mean = (electrons + dark_e[i, j]) * gain + offset
+            grey = np.rint(levels[noise[i, j]] * np.sqrt((electrons + read2) * gain2) + mean)
+            exposed[i, j] = np.uint16(min(max(grey, np.float32(0.0)), most))

@@ -22,7 +22,6 @@ from instruments.world.compositing import Cover, Layer, cover, cover_outlines, l
 from instruments.world.objects import SceneObject
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import (
-    ExpectedFrame,
     Grey,
     Image,
     OpticalReadout,
@@ -191,45 +190,40 @@ class OpticalCamera:
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
         self._layers = KeptLayers()
-        self._latest: tuple[object, ExpectedFrame] | None = None
-        self._still: tuple[object, Image, ExpectedFrame] | None = None
-        self._changed = list[Part]()  # where the latest frame isn't that of the empty scene
+        self._latest: object = None  # what the kept light is of
+        self._still: tuple[object, Image, Image] | None = None  # of what, empty, and with things
+        self._changed = list[Part]()  # where these two differ
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
     ) -> Grey:
         """One exposure, (height, width) uint8."""
-        return self.readout.expose(self._expected(state, shadows), rng)
+        return self.readout.expose(self._light(state, shadows), rng, state.exposure)
 
     def expected(self, state: SceneState, shadows: ShadowMap | None = None) -> Image:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
-        return self.readout.mean(self._expected(state, shadows))
+        return self.readout.mean(self._light(state, shadows), state.exposure)
 
-    def _expected(self, state: SceneState, shadows: ShadowMap | None) -> ExpectedFrame:
-        """The frame before noise; kept while nothing changes."""
+    def _light(self, state: SceneState, shadows: ShadowMap | None) -> Image:
+        """Light on the sensor, (height, width); kept while nothing changes."""
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
-        key = (looks, fixed, shadows is None)
-        if self._latest is None or self._latest[0] != key:
-            lit = state.backdrop, state.lighting, state.exposure
-            if self._still is None or self._still[0] != lit:
-                self._latest = self._still = None  # let go before the next is drawn
-                camera, sensor = self.view.camera, self.readout.sensor
-                empty, soft = _empty(state.backdrop, state.lighting, camera, sensor)
-                still = blurred(empty, sensor.blur_px) if soft is None else soft
-                gain = sensor.gain_dn_per_e * state.exposure.gain
-                self._still = lit, still, ExpectedFrame(np.empty_like(still), gain)
-                self._changed = [(slice(0, camera.height_px), slice(0, camera.width_px))]
-            (_, still, frame), drawn = self._still, self._drawn(state, shadows)
-            changed = [part for part, _ in drawn]
-            if parts := self._changed + changed:
-                part = _joined(parts)
-                light = still[part].copy()
-                for at, seen in drawn:
-                    light[_within(at, part)] = seen
-                self.readout.expected(light, state.exposure, part, frame)
-            self._latest, self._changed = (key, frame), changed
-        return self._latest[1]
+        key, lit = (looks, fixed, shadows is None), (state.backdrop, state.lighting)
+        if self._still is None or self._still[0] != lit:
+            self._latest = self._still = None  # let go before the next is drawn
+            sensor = self.readout.sensor
+            empty, soft = _empty(*lit, self.view.camera, sensor)
+            still = blurred(empty, sensor.blur_px) if soft is None else soft
+            self._still, self._changed = (lit, still, still.copy()), []
+        _, still, light = self._still
+        if self._latest != key:
+            self._latest, drawn = None, self._drawn(state, shadows)
+            for part in self._changed:
+                light[part] = still[part]
+            for part, seen in drawn:
+                light[part] = seen
+            self._latest, self._changed = key, [part for part, _ in drawn]
+        return light
 
     def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[tuple[Part, Image]]:
         """The part of the picture that isn't empty, and light on the sensor there: the backdrop,

@@ -22,7 +22,6 @@ from instruments.world.optics import Floats
 
 Image = NDArray[np.float32]
 Part = tuple[slice, slice]  # rows and columns
-WHOLE: Part = (slice(None), slice(None))
 NOISE_LEVELS = 65536
 BLOCK = 32768  # pixels
 
@@ -150,14 +149,6 @@ class OpticalSensor:
         return self.white_dn / self.full_well_e
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExpectedFrame:
-    """A frame before noise: electrons of each pixel, (h, w), and how many grey levels one makes."""
-
-    electrons: Image
-    gain_dn_per_e: float
-
-
 class OpticalReadout:
     """One optical camera's sensor: its fixed pattern and its grey levels."""
 
@@ -173,38 +164,27 @@ class OpticalReadout:
         vignette = 1.0 - np.float32(sensor.vignetting) * (1.0 - cos4)
         self._response = vignette * (1.0 + np.float32(sensor.prnu) * normal_noise(rng, shape))
 
-    def expected(
-        self,
-        light: Image,
-        exposure: Exposure | None = None,
-        part: Part = WHOLE,
-        frame: ExpectedFrame | None = None,
-    ) -> ExpectedFrame:
-        """What light on the sensor gives, (h, w), or on a ``part`` of it, written there in the
-        ``frame``: a full well holds no more.
+    def mean(self, light: Image, exposure: Exposure | None = None) -> Image:
+        """Mean grey levels that light on the sensor gives, (h, w), before rounding."""
+        filled, dark, full, _, _, gain, offset, _ = self._constants(exposure or Exposure())
+        electrons = np.minimum(light * self._response * filled + dark, full)
+        return np.asarray((electrons + self._dark_e) * gain + offset)
+
+    def expose(
+        self, light: Image, rng: np.random.Generator, exposure: Exposure | None = None
+    ) -> Grey:
+        """What light on the sensor gives with fresh noise, (h, w): uint8 (uint16 above 8 bits)."""
+        pixels = light, self._response, self._dark_e, _words(rng, light.size).reshape(light.shape)
+        constants, exposed = self._constants(exposure or Exposure()), np.empty_like(pixels[3])
+        package.kernels.expose(*pixels, _normal_levels(), constants, exposed)
+        return exposed if self.sensor.bits > 8 else exposed.astype(np.uint8)
+
+    def _constants(self, shutter: Exposure) -> Image:
+        """Electrons at light 1, of dark current, and of a full well, which holds no more; variance
+        of reading; grey levels by electron, squared and plain, at no light, and at most.
         """
-        sensor, shutter = self.sensor, exposure or Exposure()
-        gain = sensor.gain_dn_per_e * shutter.gain
-        whole = frame or ExpectedFrame(np.empty_like(light), gain)
+        sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
         filled = sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S
-        dark, electrons = sensor.dark_e_per_s * shutter.time_s, whole.electrons[part]
-        package.kernels.fill(
-            light, self._response[part], filled, dark, sensor.full_well_e, electrons
-        )
-        return whole
-
-    def mean(self, frame: ExpectedFrame) -> Image:
-        """Mean grey levels, (h, w)."""
-        grey = (frame.electrons + self._dark_e) * np.float32(frame.gain_dn_per_e)
-        return np.asarray(grey + np.float32(self.sensor.offset_dn))
-
-    def expose(self, expected: ExpectedFrame, rng: np.random.Generator) -> Grey:
-        """One exposure with fresh noise, uint8 (uint16 above 8 bits)."""
-        sensor, gain, electrons = self.sensor, expected.gain_dn_per_e, expected.electrons
-        exposed = np.empty(electrons.shape, dtype=np.uint16)
-        package.kernels.expose(
-            electrons.reshape(-1), self._dark_e.reshape(-1), _words(rng, electrons.size),
-            _normal_levels(), sensor.read_noise_e**2, gain**2, gain, sensor.offset_dn,
-            2**sensor.bits - 1, exposed.reshape(-1),
-        )  # fmt: skip
-        return exposed if sensor.bits > 8 else exposed.astype(np.uint8)
+        electrons = filled, sensor.dark_e_per_s * shutter.time_s, sensor.full_well_e
+        grey = gain**2, gain, sensor.offset_dn, 2**sensor.bits - 1
+        return np.array([*electrons, sensor.read_noise_e**2, *grey], dtype=np.float32)

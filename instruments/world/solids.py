@@ -179,8 +179,8 @@ def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats
     bend = 1.0 + k * k
     to_b = -a - (bend * h0 + k * r0) * axis
     qc = dot(a, a) - bend * h0 * h0 - 2.0 * k * r0 * h0 - r0 * r0
-    ends = *solids.b.T, solids.radius_a, solids.radius_b, solids.flat_a, solids.flat_b
-    columns = np.stack([*axis, *to_b, bend, h0, qc, k, r0, solids.low, solids.high, *a, *ends])
+    ends = *-solids.b.T, solids.radius_a, solids.radius_b, solids.flat_a, solids.flat_b
+    columns = np.stack([*axis, *to_b, bend, h0, qc, k, r0, solids.low, solids.high, *-a, *ends])
     depth, hit, normal = np.empty(len(x)), np.empty(len(x), dtype=np.bool_), np.empty((3, len(x)))
     package.kernels.meet(columns.T.copy(), which, x, y, depth, normal, hit)
     return depth, normal, hit
