@@ -100,19 +100,24 @@ def _stacked(
     pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
 ) -> tuple[Ints, Ints, NDArray[Any], Floats]:
     """Surfaces in pixels (m,): those alone there; the nearest of others, light, share seen past."""
+    alone = np.bincount(pixel)[pixel] == 1
+    shared = np.flatnonzero(~alone)
+    # One key orders by pixel, then depth: a third of the time of two, and fine to 1e-4 mm.
+    key = pixel[shared] + depth[shared] / (1.0 + 2.0 * depth[shared].max(initial=0.0))
     kind = np.result_type(value, np.float64)  # complex as two numbers
     pair = value.astype(kind).view(np.float64).reshape(len(value), -1)
-    alone, nearest, light, behind = package.kernels.stacked(pixel, share, depth, owner, pair)
-    return alone, nearest, light.view(kind)[:, 0], behind
+    order = shared[np.argsort(key)]
+    nearest, light, behind = package.kernels.stacked(order, pixel, share, owner, pair)
+    return np.flatnonzero(alone), nearest, light.view(kind)[:, 0], behind
 
 
 def merged(layer: Layer) -> Layer:
     """One object's layer from surfaces of which several may meet in a pixel."""
     if not len(layer):
         return layer
-    left, wide = int(layer.column.min()), int(np.ptp(layer.column)) + 1
-    pixel, value = layer.row * wide + layer.column - left, layer.value
-    one = np.zeros(len(pixel), dtype=np.intp)
+    left, top = int(layer.column.min()), int(layer.row.min())
+    pixel = (layer.row - top) * (int(layer.column.max()) - left + 1) + layer.column - left
+    one, value = np.zeros(len(pixel), dtype=np.intp), layer.value
     alone, nearest, light, behind = _stacked(pixel, layer.share, layer.depth_mm, one, value)
     if not len(nearest):
         return layer
@@ -130,7 +135,8 @@ def merged(layer: Layer) -> Layer:
 
 # round an end whose radius in px is above, up to
 RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))
-MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than a piece of one
+STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
+MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
 NEAREST_MM = 50.0
 
 
@@ -184,14 +190,33 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 
 def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     """Each solid's polygon (m, 2) in the ideal plane."""
-    counts = np.array([len(outline) for outline in corners], dtype=np.intp)
-    window, margin, size = _plane_window(camera), MARGIN_PX, (camera.width_px, camera.height_px)
-    counts, plane = package.kernels.pieces(counts, np.concatenate(corners), camera.fc, window)
+    counts, start = np.array([len(each) for each in corners]), np.concatenate(corners)
+    way = start[_following(counts)] - start
+    # edges in pieces of STEP_PX, those near the image kept, and distorted
+    x_px, y_px = (way * camera.fc).T
+    pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0).astype(np.intp)
+    edge = np.repeat(np.arange(len(pieces)), pieces)
+    part = np.arange(len(edge)) - (np.cumsum(pieces) - pieces)[edge]
+    plane = start[edge] + part[:, None] * (way / pieces[:, None])[edge]
+    low, high = _plane_window(camera)
     # From here a pixel reaches from its number to the next one.
-    pixels = camera.pixels_from_plane(plane) + 0.5
-    points = np.minimum(np.maximum(pixels, -margin), np.add(size, margin))
-    (solid, row, column), share = package.kernels.areas(counts, points, *size)
+    pixels = camera.pixels_from_plane(np.minimum(np.maximum(plane, low), high)) + 0.5
+    size = camera.width_px, camera.height_px
+    points = np.minimum(np.maximum(pixels, -MARGIN_PX), np.add(size, MARGIN_PX))
+    counts = np.add.reduceat(pieces, np.cumsum(counts) - counts)
+    runs = np.cumsum(counts) - counts
+    left, top = np.floor(np.minimum.reduceat(points, runs)).astype(np.intp).T
+    right, bottom = np.floor(np.maximum.reduceat(points, runs)).astype(np.intp).T
+    windows, end = np.column_stack([left, right + 2, top, bottom + 1]), points[_following(counts)]
+    (solid, row, column), share = package.kernels.areas(counts, windows, points, end, *size)
     return Cover(solid, row, column, share)
+
+
+def _following(counts: Ints) -> Ints:
+    """The point after each one of closed outlines of so many points."""
+    after, lasts = np.arange(1, int(counts.sum()) + 1), np.cumsum(counts) - 1
+    after[lasts] = lasts - counts + 1
+    return after
 
 
 def _ends(solids: Solids, which: Ints, points: int) -> Floats:

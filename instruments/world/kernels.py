@@ -38,7 +38,6 @@ def _within(loop: Loop) -> Loop:
     return cast("Loop", numba.njit(error_model="numpy")(loop))
 
 
-STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
 NEARLY_ALL = 1.0 - 1e-9
 NOTHING = 1e-4  # less cover than this is no cover
 
@@ -90,52 +89,14 @@ def rings(placed: Floats, circle: Floats) -> Floats:
     return seen
 
 
-@_compiled("Tuple((i8[::1], f8[:, ::1]))(i8[::1], f8[:, ::1], f8[::1], f8[:, ::1])")
-def pieces(counts: Ints, corners: Floats, fc: Floats, window: Floats) -> tuple[Ints, Floats]:
-    """Closed outlines of ``counts`` corners (n, 2) in the ideal plane, in pieces of STEP_PX, within
-    a ``window`` (2, 2): how many pieces of each, and where these begin, (m, 2).
-    """
-    parts, total, first = np.empty(len(corners), np.int64), 0, 0
-    after = np.arange(1, len(corners) + 1)
-    for i in range(len(counts)):
-        after[first + counts[i] - 1] = first
-        first += counts[i]
-    for j in range(len(corners)):
-        x = (corners[after[j], 0] - corners[j, 0]) * fc[0]
-        y = (corners[after[j], 1] - corners[j, 1]) * fc[1]
-        parts[j] = int(max(np.ceil(np.sqrt(x * x + y * y) / STEP_PX), 1.0))
-        total += parts[j]
-    points, at = np.empty((total, 2)), 0
-    for j in range(len(corners)):
-        for axis in range(2):
-            step = (corners[after[j], axis] - corners[j, axis]) / parts[j]
-            for part in range(parts[j]):
-                place = max(corners[j, axis] + part * step, window[0, axis])
-                points[at + part, axis] = min(place, window[1, axis])
-        at += parts[j]
-    each, first = np.zeros(len(counts), np.int64), 0
-    for i in range(len(counts)):
-        for j in range(first, first + counts[i]):
-            each[i] += parts[j]
-        first += counts[i]
-    return each, points
-
-
 @_within
 def _edge(
-    number: int,
-    x: float,
-    y: float,
-    to_x: float,
-    to_y: float,
-    base: int,
-    width: int,
-    change: Floats,
-    spill: Floats,
+    number: int, start: Floats, end: Floats, base: int, width: int, change: Floats, spill: Floats
 ) -> None:
     """Adds an edge's signed areas, pixel by pixel, to a window ``width`` wide whose pixel (0, 0)
     would be at ``base``: what changes at a pixel, and at the next one.
     """
+    (x, y), (to_x, to_y) = start, end
     way_x, way_y = to_x - x, to_y - y
     # lines between pixels that it crosses: the next ones, and how many are left
     low_x, low_y = np.floor(min(x, to_x)), np.floor(min(y, to_y))
@@ -167,44 +128,34 @@ def _edge(
         here_x, here_y = there_x, there_y
 
 
-@_compiled("Tuple((i8[:, ::1], f8[::1]))(i8[::1], f8[:, ::1], i8, i8)")
-def areas(counts: Ints, points: Floats, wide: int, tall: int) -> tuple[Ints, Floats]:
-    """Which share of each pixel closed outlines of ``counts`` points (n, 2) cover: (3, m) outline,
-    row, column, and shares (m,), by outline. Signed areas in windows, whose rows sum to zero.
+@_compiled("Tuple((i8[:, ::1], f8[::1]))(i8[::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8, i8)")
+def areas(
+    counts: Ints, windows: Ints, start: Floats, end: Floats, wide: int, tall: int
+) -> tuple[Ints, Floats]:
+    """Which share of each pixel closed outlines of ``counts`` edges (n, 2) cover: (3, m) outline,
+    row, column, and shares (m,), by outline. Signed areas in ``windows`` (k, 4), left, right, top
+    and bottom of each; their rows sum to zero.
     """
-    windows = np.empty((len(counts), 4), np.int64)
-    cells, first = 0, 0
-    for i in range(len(counts)):
-        low_x, low_y = points[first]
-        high_x, high_y = low_x, low_y
-        for j in range(first, first + counts[i]):
-            low_x, high_x = min(low_x, points[j, 0]), max(high_x, points[j, 0])
-            low_y, high_y = min(low_y, points[j, 1]), max(high_y, points[j, 1])
-        left, top = int(np.floor(low_x)), int(np.floor(low_y))
-        windows[i, 0], windows[i, 1] = left, int(np.floor(high_x)) + 2
-        windows[i, 2], windows[i, 3] = top, int(np.floor(high_y)) + 1
-        cells += (windows[i, 1] - left) * (windows[i, 3] - top)
-        first += counts[i]
+    cells = 0
+    for left, right, top, bottom in windows:
+        cells += (right - left) * (bottom - top)
     change, spill = np.zeros(cells + 1), np.zeros(cells + 1)
-    cells, first = 0, 0
+    cells, j = 0, 0
     for i in range(len(counts)):
         left, right, top, bottom = windows[i]
         base = cells - top * (right - left) - left
-        stop = first + counts[i]
-        for j in range(first, stop):
-            after = j + 1 if j + 1 < stop else first
-            x, y = points[after]
-            _edge(j, points[j, 0], points[j, 1], x, y, base, right - left, change, spill)
+        for _ in range(counts[i]):
+            _edge(j, start[j], end[j], base, right - left, change, spill)
+            j += 1
         cells += (right - left) * (bottom - top)
-        first = stop
     places, shares = np.empty((3, cells), np.int64), np.empty(cells)
-    cell, at, sum_ = 0, 0, 0.0
+    cell, at, total = 0, 0, 0.0
     for i in range(len(counts)):
         left, right, top, bottom = windows[i]
         for row in range(top, bottom):
             for column in range(left, right):
-                sum_ += change[cell] + spill[cell]
-                share = min(abs(sum_), 1.0)
+                total += change[cell] + spill[cell]
+                share = min(abs(total), 1.0)
                 cell += 1
                 if share > NOTHING and 0 <= row < tall and 0 <= column < wide:
                     places[0, at], places[1, at], places[2, at] = i, row, column
@@ -276,44 +227,17 @@ def meet(
         normal[0, i], normal[1, i], normal[2, i] = _unit(outward)
 
 
-@_compiled(
-    "Tuple((i8[::1], i8[::1], f8[:, ::1], f8[::1]))(i8[::1], f8[::1], f8[::1], i8[:], f8[:, ::1])"
-)
+@_compiled("Tuple((i8[::1], f8[:, ::1], f8[::1]))(i8[::1], i8[::1], f8[::1], i8[::1], f8[:, ::1])")
 def stacked(
-    pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: Floats
-) -> tuple[Ints, Ints, Floats, Floats]:
-    """Surfaces (m,) in pixels, with values (m, c): those alone there; of others by pixel the
-    nearest, light (n, c), and the share seen past all.
+    order: Ints, pixel: Ints, share: Floats, owner: Ints, value: Floats
+) -> tuple[Ints, Floats, Floats]:
+    """Surfaces (m,) in pixels, in an ``order`` by pixel, then depth, with values (m, c): the
+    nearest of each pixel, its light (n, c), the share seen past all (n,).
     """
-    low = high = pixel[0]
-    for i in range(len(pixel)):
-        low, high = min(low, pixel[i]), max(high, pixel[i])
-    often, start, filled = np.zeros((3, high - low + 1), np.int32)
-    for i in range(len(pixel)):
-        often[pixel[i] - low] += 1
-    shared, count = 0, 0
-    for cell in range(len(often)):
-        if often[cell] > 1:
-            start[cell], shared, count = shared, shared + often[cell], count + 1
-    alone, at = np.empty(len(pixel) - shared, np.int64), 0
-    order = np.empty(shared, np.int64)
-    for i in range(len(pixel)):
-        cell = pixel[i] - low
-        if often[cell] == 1:
-            alone[at], at = i, at + 1
-            continue
-        place = start[cell] + filled[cell]
-        filled[cell] += 1
-        while place > start[cell] and depth[order[place - 1]] > depth[i]:
-            order[place], place = order[place - 1], place - 1
-        order[place] = i
-    nearest, light, behind = (
-        np.empty(count, np.int64),
-        np.zeros((count, value.shape[1])),
-        np.empty(count),
-    )
+    nearest, behind = np.empty(len(order), np.int64), np.empty(len(order))
+    light = np.zeros((len(order), value.shape[1]))
     at, widest, past = -1, 0.0, 1.0
-    for i in range(shared):
+    for i in range(len(order)):
         now = order[i]
         if i == 0 or pixel[now] != pixel[order[i - 1]]:
             at, widest, past = at + 1, 0.0, 1.0
@@ -325,7 +249,7 @@ def stacked(
             light[at, channel] += past * (after - widest) * value[now, channel]
         widest = after
         behind[at] = past * (1.0 - widest)
-    return alone, nearest, light, behind
+    return nearest[: at + 1].copy(), light[: at + 1].copy(), behind[: at + 1].copy()
 
 
 @_compiled("void(f4[:, ::1], f4[:, ::1], f4[::1], f4, f4[::1])")
