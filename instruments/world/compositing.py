@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from instruments import world as package
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import Part
-from instruments.world.solids import Ints, Solids, square_to
+from instruments.world.solids import Ints, Solids
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +100,11 @@ def _stacked(
     pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
 ) -> tuple[Ints, Ints, NDArray[Any], Floats]:
     """Surfaces in pixels (m,): those alone there; the nearest of others, light, share seen past."""
-    alone = np.bincount(pixel)[pixel] == 1
-    shared = np.flatnonzero(~alone)
-    # One key orders by pixel, then depth: a third of the time of two, and fine to 1e-4 mm.
-    key = pixel[shared] + depth[shared] / (1.0 + 2.0 * depth[shared].max(initial=0.0))
+    alone, order = package.kernels.by_pixel(pixel, depth)
     kind = np.result_type(value, np.float64)  # complex as two numbers
     pair = value.astype(kind).view(np.float64).reshape(len(value), -1)
-    order = shared[np.argsort(key)]
     nearest, light, behind = package.kernels.stacked(order, pixel, share, owner, pair)
-    return np.flatnonzero(alone), nearest, light.view(kind)[:, 0], behind
+    return alone, nearest, light.view(kind)[:, 0], behind
 
 
 def merged(layer: Layer) -> Layer:
@@ -135,8 +131,7 @@ def merged(layer: Layer) -> Layer:
 
 # round an end whose radius in px is above, up to
 RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))
-STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
-MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
+MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than a piece's length
 NEAREST_MM = 50.0
 
 
@@ -160,12 +155,13 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
     _refuse_near(float(solids.nearest_depth().min()), camera)
     depth = np.minimum(solids.a[:, 2], solids.b[:, 2])
     size_px = np.maximum(solids.radius_a, solids.radius_b) / depth * float(camera.fc.max())
-    corners: dict[int, Floats] = {}
+    ends = solids.radius_a, solids.radius_b, solids.flat_a, solids.flat_b
+    table, corners = np.column_stack([solids.a, solids.b, solids.axis, *ends]), dict[int, Floats]()
     for points, above, up_to in RING_POINTS:
         which = np.flatnonzero((size_px > above) & (size_px <= up_to))
         if len(which) == 0:
             continue
-        clouds = _ends(solids, which, points)
+        clouds = package.kernels.rims(table[which], *_circle(points))
         coarse = clouds.astype(np.float32, order="C")
         for number, cloud, rough in zip(which.tolist(), clouds, coarse, strict=True):
             corners[number] = cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
@@ -190,57 +186,28 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 
 def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     """Each solid's polygon (m, 2) in the ideal plane."""
-    counts, start = np.array([len(each) for each in corners]), np.concatenate(corners)
-    way = start[_following(counts)] - start
-    # edges in pieces of STEP_PX, those near the image kept, and distorted
-    x_px, y_px = (way * camera.fc).T
-    pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0).astype(np.intp)
-    edge = np.repeat(np.arange(len(pieces)), pieces)
-    part = np.arange(len(edge)) - (np.cumsum(pieces) - pieces)[edge]
-    plane = start[edge] + part[:, None] * (way / pieces[:, None])[edge]
-    low, high = _plane_window(camera)
+    counts, window = np.array([len(outline) for outline in corners]), _plane_window(camera)
+    counts, plane = package.kernels.pieces(counts, np.concatenate(corners), camera.fc, window)
     # From here a pixel reaches from its number to the next one.
-    pixels = camera.pixels_from_plane(np.minimum(np.maximum(plane, low), high)) + 0.5
-    size = camera.width_px, camera.height_px
+    pixels, size = camera.pixels_from_plane(plane) + 0.5, (camera.width_px, camera.height_px)
     points = np.minimum(np.maximum(pixels, -MARGIN_PX), np.add(size, MARGIN_PX))
-    counts = np.add.reduceat(pieces, np.cumsum(counts) - counts)
     runs = np.cumsum(counts) - counts
     left, top = np.floor(np.minimum.reduceat(points, runs)).astype(np.intp).T
     right, bottom = np.floor(np.maximum.reduceat(points, runs)).astype(np.intp).T
-    windows, end = np.column_stack([left, right + 2, top, bottom + 1]), points[_following(counts)]
-    (solid, row, column), share = package.kernels.areas(counts, windows, points, end, *size)
+    windows = np.column_stack([left, right + 2, top, bottom + 1])
+    (solid, row, column), share = package.kernels.areas(counts, windows, points, *size)
     return Cover(solid, row, column, share)
 
 
-def _following(counts: Ints) -> Ints:
-    """The point after each one of closed outlines of so many points."""
-    after, lasts = np.arange(1, int(counts.sum()) + 1), np.cumsum(counts) - 1
-    after[lasts] = lasts - counts + 1
-    return after
-
-
-def _ends(solids: Solids, which: Ints, points: int) -> Floats:
-    """Outlines of both ends of each solid in the ideal plane, (k, 2 points, 2): a disc's rim, or a
-    ball's limb.
+@lru_cache
+def _circle(points: int) -> tuple[Floats, float]:
+    """Points of the unit circle, (m, 2), and by how much their polygon, which is inscribed and a
+    little small, is stretched to have the circle's area.
     """
-    centre, radius, flat = (
-        np.stack([a[which], b[which]], axis=1).reshape(2 * len(which), -1)
-        for a, b in (
-            (solids.a, solids.b),
-            (solids.radius_a, solids.radius_b),
-            (solids.flat_a, solids.flat_b),
-        )
-    )
-    distance = np.linalg.norm(centre, axis=1)[:, None]
-    across = np.where(flat, np.repeat(solids.axis[which], 2, axis=0), centre / distance)
-    shrink = np.where(flat, 0.0, (radius / distance) ** 2)
-    # A polygon inscribed in a circle is a little small; this one has the circle's area.
     step = 2.0 * np.pi / points
-    radius = radius * np.sqrt(1.0 - shrink) * np.sqrt(step / np.sin(step))
     angle = np.arange(points) * step
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    rings = np.hstack([centre * (1.0 - shrink), radius, *square_to(across)])
-    return np.asarray(package.kernels.rings(rings, circle)).reshape(len(which), -1, 2)
+    stretch = float(np.sqrt(step / np.sin(step)))
+    return np.column_stack([np.cos(angle), np.sin(angle)]), stretch
 
 
 @lru_cache(maxsize=16)  # cameras are few and never change

@@ -18,6 +18,7 @@ Singles = NDArray[np.float32]
 Words = NDArray[np.uint16]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
+Point = tuple[float, float]
 Vector = tuple[float, float, float]
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
@@ -38,8 +39,25 @@ def _within(loop: Loop) -> Loop:
     return cast("Loop", numba.njit(error_model="numpy")(loop))
 
 
+STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
 NEARLY_ALL = 1.0 - 1e-9
 NOTHING = 1e-4  # less cover than this is no cover
+
+
+@_within
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@_within
+def _plus(a: Vector, times: float, b: Vector) -> Vector:
+    return a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]
+
+
+@_within
+def _unit(a: Vector) -> Vector:
+    length = np.sqrt(_dot(a, a))
+    return a[0] / length, a[1] / length, a[2] / length
 
 
 @_compiled("b1(f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], i8, f8)")
@@ -73,25 +91,40 @@ def undistort(
     return False
 
 
-@_compiled("f8[:, :, ::1](f8[:, ::1], f8[:, ::1])")
-def rings(placed: Floats, circle: Floats) -> Floats:
-    """Circles of ``circle`` (m, 2) in the ideal plane, (k, m, 2). ``placed`` (k, 10): centre,
-    radius, and two unit vectors across.
+@_compiled("Tuple((i8[::1], f8[:, ::1]))(i8[::1], f8[:, ::1], f8[::1], f8[:, ::1])")
+def pieces(counts: Ints, corners: Floats, fc: Floats, window: Floats) -> tuple[Ints, Floats]:
+    """Closed outlines of ``counts`` corners (n, 2) in the ideal plane, in pieces of STEP_PX, within
+    a ``window`` (2, 2): how many pieces of each, and where these begin, (m, 2).
     """
-    seen = np.empty((len(placed), len(circle), 2))
-    for i in range(len(placed)):
-        c_x, c_y, c_z, radius, u_x, u_y, u_z, v_x, v_y, v_z = placed[i]
-        for j in range(len(circle)):
-            cos, sin = circle[j]
-            z = c_z + radius * (cos * u_z + sin * v_z)
-            seen[i, j, 0] = (c_x + radius * (cos * u_x + sin * v_x)) / z
-            seen[i, j, 1] = (c_y + radius * (cos * u_y + sin * v_y)) / z
-    return seen
+    parts, total, first = np.empty(len(corners), np.int64), 0, 0
+    after = np.arange(1, len(corners) + 1)
+    for i in range(len(counts)):
+        after[first + counts[i] - 1] = first
+        first += counts[i]
+    for j in range(len(corners)):
+        x = (corners[after[j], 0] - corners[j, 0]) * fc[0]
+        y = (corners[after[j], 1] - corners[j, 1]) * fc[1]
+        parts[j] = int(max(np.ceil(np.sqrt(x * x + y * y) / STEP_PX), 1.0))
+        total += parts[j]
+    points, at = np.empty((total, 2)), 0
+    for j in range(len(corners)):
+        for axis in range(2):
+            step = (corners[after[j], axis] - corners[j, axis]) / parts[j]
+            for part in range(parts[j]):
+                place = max(corners[j, axis] + part * step, window[0, axis])
+                points[at + part, axis] = min(place, window[1, axis])
+        at += parts[j]
+    each, first = np.zeros(len(counts), np.int64), 0
+    for i in range(len(counts)):
+        for j in range(first, first + counts[i]):
+            each[i] += parts[j]
+        first += counts[i]
+    return each, points
 
 
 @_within
 def _edge(
-    number: int, start: Floats, end: Floats, base: int, width: int, change: Floats, spill: Floats
+    number: int, start: Point, end: Point, base: int, width: int, change: Floats, spill: Floats
 ) -> None:
     """Adds an edge's signed areas, pixel by pixel, to a window ``width`` wide whose pixel (0, 0)
     would be at ``base``: what changes at a pixel, and at the next one.
@@ -128,11 +161,9 @@ def _edge(
         here_x, here_y = there_x, there_y
 
 
-@_compiled("Tuple((i8[:, ::1], f8[::1]))(i8[::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8, i8)")
-def areas(
-    counts: Ints, windows: Ints, start: Floats, end: Floats, wide: int, tall: int
-) -> tuple[Ints, Floats]:
-    """Which share of each pixel closed outlines of ``counts`` edges (n, 2) cover: (3, m) outline,
+@_compiled("Tuple((i8[:, ::1], f8[::1]))(i8[::1], i8[:, ::1], f8[:, ::1], i8, i8)")
+def areas(counts: Ints, windows: Ints, points: Floats, wide: int, tall: int) -> tuple[Ints, Floats]:
+    """Which share of each pixel closed outlines of ``counts`` points (n, 2) cover: (3, m) outline,
     row, column, and shares (m,), by outline. Signed areas in ``windows`` (k, 4), left, right, top
     and bottom of each; their rows sum to zero.
     """
@@ -144,8 +175,11 @@ def areas(
     for i in range(len(counts)):
         left, right, top, bottom = windows[i]
         base = cells - top * (right - left) - left
-        for _ in range(counts[i]):
-            _edge(j, start[j], end[j], base, right - left, change, spill)
+        stop = j + counts[i]
+        while j < stop:
+            after = j + 1 if j + 1 < stop else stop - counts[i]
+            start, end = (points[j, 0], points[j, 1]), (points[after, 0], points[after, 1])
+            _edge(j, start, end, base, right - left, change, spill)
             j += 1
         cells += (right - left) * (bottom - top)
     places, shares = np.empty((3, cells), np.int64), np.empty(cells)
@@ -164,20 +198,35 @@ def areas(
     return places[:, :at].copy(), shares[:at].copy()
 
 
-@_within
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@_within
-def _plus(a: Vector, times: float, b: Vector) -> Vector:
-    return a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]
-
-
-@_within
-def _unit(a: Vector) -> Vector:
-    length = np.sqrt(_dot(a, a))
-    return a[0] / length, a[1] / length, a[2] / length
+@_compiled("f8[:, :, ::1](f8[:, ::1], f8[:, ::1], f8)")
+def rims(solids: Floats, circle: Floats, stretch: float) -> Floats:
+    """Outlines of both ends of solids (k, 13), a, b, axis, radii, and whether each is flat, in the
+    ideal plane, (k, 2 m, 2): a disc's rim, or a ball's limb, a ``circle`` (m, 2) stretched.
+    """
+    seen = np.empty((len(solids), 2 * len(circle), 2))
+    for i in range(len(solids)):
+        for end in range(2):
+            centre = (solids[i, 3 * end], solids[i, 3 * end + 1], solids[i, 3 * end + 2])
+            radius, x, y, z = solids[i, 9 + end], solids[i, 6], solids[i, 7], solids[i, 8]
+            if not solids[i, 11 + end]:
+                x, y, z = _unit(centre)
+                shrink = radius / np.sqrt(_dot(centre, centre))
+                shrink *= shrink
+                centre = (
+                    centre[0] * (1.0 - shrink), centre[1] * (1.0 - shrink),
+                    centre[2] * (1.0 - shrink),
+                )  # fmt: skip
+                radius *= np.sqrt(1.0 - shrink)
+            radius *= stretch
+            u = _unit((0.0, z, -y) if abs(x) < 0.7 else (-z, 0.0, x))
+            v = (y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
+            for j in range(len(circle)):
+                cos, sin = circle[j]
+                way = (cos * u[0] + sin * v[0], cos * u[1] + sin * v[1], cos * u[2] + sin * v[2])
+                point = _plus(centre, radius, way)
+                seen[i, end * len(circle) + j, 0] = point[0] / point[2]
+                seen[i, end * len(circle) + j, 1] = point[1] / point[2]
+    return seen
 
 
 @_compiled("void(f8[:, ::1], i8[:], f8[::1], f8[::1], f8[::1], f8[:, ::1], b1[::1])")
@@ -225,6 +274,33 @@ def meet(
                 outward = _plus(back, far, ray)
         depth[i], hit[i] = far, met
         normal[0, i], normal[1, i], normal[2, i] = _unit(outward)
+
+
+@_compiled("Tuple((i8[::1], i8[::1]))(i8[::1], f8[::1])")
+def by_pixel(pixel: Ints, depth: Floats) -> tuple[Ints, Ints]:
+    """Which surfaces (m,) are alone in their pixel; and the others by pixel, the nearest first."""
+    low = high = pixel[0]
+    for i in range(len(pixel)):
+        low, high = min(low, pixel[i]), max(high, pixel[i])
+    often, start, filled = np.zeros((3, high - low + 1), np.int32)
+    for i in range(len(pixel)):
+        often[pixel[i] - low] += 1
+    shared = 0
+    for cell in range(len(often)):
+        if often[cell] > 1:
+            start[cell], shared = shared, shared + often[cell]
+    alone, at, order = np.empty(len(pixel) - shared, np.int64), 0, np.empty(shared, np.int64)
+    for i in range(len(pixel)):
+        cell = pixel[i] - low
+        if often[cell] == 1:
+            alone[at], at = i, at + 1
+            continue
+        place = start[cell] + filled[cell]
+        filled[cell] += 1
+        while place > start[cell] and depth[order[place - 1]] > depth[i]:
+            order[place], place = order[place - 1], place - 1
+        order[place] = i
+    return alone, order
 
 
 @_compiled("Tuple((i8[::1], f8[:, ::1], f8[::1]))(i8[::1], i8[::1], f8[::1], i8[::1], f8[:, ::1])")
