@@ -19,7 +19,8 @@ Words = NDArray[np.uint16]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 Point = tuple[float, float]
-Vector = tuple[float, float, float]
+Number = Any  # float, or float32
+Vector = tuple[Number, Number, Number]
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
@@ -45,12 +46,12 @@ NOTHING = 1e-4  # less cover than this is no cover
 
 
 @_within
-def _dot(a: Vector, b: Vector) -> float:
+def _dot(a: Vector, b: Vector) -> Number:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @_within
-def _plus(a: Vector, times: float, b: Vector) -> Vector:
+def _plus(a: Vector, times: Number, b: Vector) -> Vector:
     return a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]
 
 
