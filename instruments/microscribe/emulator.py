@@ -160,7 +160,7 @@ class Mechanics:
         self._block: tuple[Pose, int, tuple[int, ...], list[list[int]]] | None = None
 
     def counts(self, packet: int, offset: tuple[int, ...] = _ON_PEG) -> Sequence[int]:
-        """Counts (6,) of a packet, from ``offset`` on; a thousand at once. Raises OutOfReachError."""
+        """Counts (6,) of a packet from ``offset`` on, by the thousand. Raises OutOfReachError."""
         target = self._hand.arm_target()
         if target is None:
             return [sum(both) % COUNT_MODULUS for both in zip(self._home, offset, strict=True)]

@@ -49,7 +49,7 @@ AMOUNTS: Amounts = {
 
 
 class Faults:
-    """The faults: ``left``, how often each active one still strikes. ``changed``: at each change."""
+    """The active faults: ``left``, how often each still strikes. ``changed``: at each change."""
 
     def __init__(
         self, seed: int, changed: Callable[[ArmFault, bool], None] = lambda _fault, _on: None
