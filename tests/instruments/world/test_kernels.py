@@ -71,6 +71,7 @@ def test_a_pixels_share_is_the_area_of_the_outline_within_it(seed: int, count: i
         shapes.append(cv2.convexHull(points.astype(np.float32))[:, 0].astype(np.float64))
     flat = [np.column_stack([100.0 * shape, np.full(len(shape), 100.0)]) for shape in shapes]
     found = cover_outlines(flat, PLAIN)
+    assert found.share.max(initial=0.0) <= 1.0
     shares = np.zeros((count, TALL, WIDE))
     shares[found.solid, found.row, found.column] = found.share
     for shape, share in zip(shapes, shares, strict=True):
