@@ -218,6 +218,8 @@ def test_a_lens_that_folds_is_refused_also_where_the_iteration_divides_by_zero()
     """Radius r (1 - r^2 / 3) turns back at r = 1, where its slope is zero."""
     x, y, kc = np.array([0.9, 1.0]), np.zeros(2), np.array([-1.0 / 3.0, 0.0, 0.0, 0.0, 0.0])
     assert not kernels.undistort(x, y, kc, x.copy(), y.copy(), 12, 1e-13)
+    lost = np.array([np.nan, 0.0])  # no step from there is small
+    assert not kernels.undistort(np.zeros(2), y, kc, lost, y.copy(), 12, 1e-13)
     near = np.array([0.1, 0.2])
     found, other = near.copy(), np.zeros(2)
     assert kernels.undistort(near, np.zeros(2), kc, found, other, 12, 1e-13)
