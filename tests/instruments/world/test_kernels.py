@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from numba.core.caching import CompileResultCacheImpl
 
 from instruments.world import kernels
-from instruments.world.compositing import cover_outlines
+from instruments.world.compositing import cover, cover_outlines
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import (
     Exposure,
@@ -78,6 +79,13 @@ def test_a_pixels_share_is_the_area_of_the_outline_within_it(seed: int, count: i
         for row, column in rng.integers(0, (TALL, WIDE), (60, 2)):
             low = np.array([column, row]) - 0.5
             assert share[row, column] == pytest.approx(clipped(shape, low, low + 1.0), abs=2e-4)
+
+
+def test_a_balls_outline_has_the_area_of_its_limb() -> None:
+    camera = replace(PLAIN, fc=np.full(2, 1000.0), cc=np.array([20.0, 15.0]))
+    found = cover(Solids.from_hulls([ball((0.0, 0.0, 1000.0), 8.0)]), camera)
+    limb_px = 1000.0 * 8.0 / math.sqrt(1000.0**2 - 8.0**2)
+    assert found.share.sum() == pytest.approx(math.pi * limb_px**2, rel=2e-5)
 
 
 def some_solids(rng: np.random.Generator) -> list[Hull]:
