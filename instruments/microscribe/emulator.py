@@ -42,6 +42,7 @@ FASTEST_BAUD = 115200  # no stream is faster than this carries it
 _BITS_PER_BYTE = 10
 _POSES = 4000
 _BLOCK = 1024
+_ON_PEG = (0,) * JOINTS  # no offset: the arm was switched on with its stylus there
 _PARAMETERS, _TREMOR, _CONTACTS = 0, 1, 3  # streams of chance; 2 is that of the faults
 
 
@@ -156,23 +157,24 @@ class Mechanics:
         home_rad = tuple(geometry.angles(home)[0].tolist())
         self._error = _error_of(geometry, home_rad, seed=seed, accuracy_mm=accuracy_mm)
         self._held: tuple[bytes, Pose] | None = None
-        self._block: tuple[Pose, int, list[list[int]]] | None = None
+        self._block: tuple[Pose, int, tuple[int, ...], list[list[int]]] | None = None
 
-    def counts(self, packet: int) -> Sequence[int]:
-        """Counts (6,) of a packet; made a thousand at a time. Raises OutOfReachError."""
+    def counts(self, packet: int, offset: tuple[int, ...] = _ON_PEG) -> Sequence[int]:
+        """Counts (6,) of a packet from ``offset`` on, by the thousand. Raises OutOfReachError."""
         target = self._hand.arm_target()
         if target is None:
-            return self._home
+            return [sum(both) % COUNT_MODULUS for both in zip(self._home, offset, strict=True)]
         point_mm, direction = target
         key = point_mm.tobytes() + (b"" if direction is None else direction.tobytes())
         if self._held is None or self._held[0] != key:
             self._held = key, self.solve(point_mm, direction)
         pose = self._held[1]
         block, row = divmod(packet, _BLOCK)
-        if self._block is None or self._block[0] is not pose or self._block[1] != block:
+        if self._block is None or self._block[:3] != (pose, block, offset):
             counts = np.rint(pose.counts + self.tremor(block) @ pose.counts_per_mm.T)
-            self._block = pose, block, counts.astype(np.int64).tolist()
-        return self._block[2][row]
+            whole = (counts.astype(np.int64) + offset) % COUNT_MODULUS
+            self._block = pose, block, offset, whole.tolist()
+        return self._block[3][row]
 
     def solve(self, point_mm: Floats, direction: Floats | None) -> Pose:
         """The pose for this target, the arm's inaccuracy included. Raises OutOfReachError."""
@@ -248,7 +250,7 @@ class ArmEmulator:
         self._settled_s = 0.0
         self._looks = 0
         self._runs = 0
-        self._offset = [0] * len(home)
+        self._offset = _ON_PEG
         self._powered = True
         self._sent_until_s = 0.0
 
@@ -260,7 +262,8 @@ class ArmEmulator:
     @buttons.setter
     def buttons(self, pressed: int) -> None:
         self._pressed_before, self._pressed = self._pressed, pressed
-        self._settled_s = self._clock.now() + self.faults.amount_now(ArmFault.PEDAL_BOUNCE)
+        bounces_s = self.faults.amount_now(ArmFault.PEDAL_BOUNCE)
+        self._settled_s = self._clock.now() + bounces_s if bounces_s else 0.0
         self._presses += 1
 
     def check_reach(self, point_mm: Floats, direction: Floats | None) -> None:
@@ -384,24 +387,21 @@ class ArmEmulator:
         """Pedals and encoders at this moment. Raises OutOfReachError for an impossible hand."""
         self._looks += 1
         buttons = self._pressed
-        if self._clock.now() < self._settled_s:  # a bouncing contact shows either
+        if self._settled_s and self._clock.now() < self._settled_s:  # bouncing, it shows either
             chance = np.random.default_rng([self._seed, _CONTACTS, self._presses, self._looks])
             buttons = self._pressed_before if chance.random() < 0.5 else buttons
-        joints = zip(self._mechanics.counts(self._looks), self._offset, strict=True)
-        return EncoderSample(
-            buttons, [(count + offset) % COUNT_MODULUS for count, offset in joints]
-        )
+        return EncoderSample(buttons, self._mechanics.counts(self._looks, self._offset))
 
     def _load_home(self) -> None:
         """Show the home counts, wherever the stylus is. Raises OutOfReachError."""
         counts = self._mechanics.counts(self._looks)
-        self._offset = [home - count for home, count in zip(self.unit.home, counts, strict=True)]
+        self._offset = tuple(a - b for a, b in zip(self.unit.home, counts, strict=True))
 
     def _start_off_peg(self) -> None:
         """Count from a place off the peg, where that fault is on."""
         if self.faults.strikes(ArmFault.NEVER_HOMED):
             displaced = self.faults.displacement(len(self._offset))
-            self._offset = [a + b for a, b in zip(self._offset, displaced, strict=True)]
+            self._offset = tuple(a + b for a, b in zip(self._offset, displaced, strict=True))
 
     # The device behind the listener
 
@@ -422,21 +422,21 @@ class ArmEmulator:
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Take bytes, cut anywhere, and answer."""
-        if not self._powered or self.faults.strikes(ArmFault.SILENT):
+        faults = self.faults
+        if not self._powered or (faults.left and faults.strikes(ArmFault.SILENT)):
             return
         rate = connection.baud()
         if (
-            self.faults.strikes(ArmFault.WRONG_BAUD)  # where the host's rate is unknown
+            faults.left and faults.strikes(ArmFault.WRONG_BAUD)  # the host's rate is unknown
             if rate is None
             else self._rate not in (None, rate)
         ):
-            self._put(connection, self.faults.noise(len(data)))
+            self._put(connection, faults.noise(len(data)))
             return
         before = self._stream
-        take, damage = self._take, self.faults.damage
-        data = self.faults.lose_byte(data)
+        take, damage = self._take, faults.damage
         try:
-            answer = b"".join([damage(take(byte, rate)) for byte in data])
+            answer = b"".join([damage(take(byte, rate)) for byte in faults.lose_byte(data)])
         except OutOfReachError as error:
             self._hang_up(connection, error)
         else:
@@ -477,6 +477,9 @@ class ArmEmulator:
 
     def _put(self, connection: Connection, data: bytes) -> None:
         """As late as the adapter is slow, in order, and up to where the cable breaks."""
+        if not self.faults.left and not self._sent_until_s:
+            connection.send(data)
+            return
         data, broken = self.faults.cut(data)
         if not data and not broken:
             return

@@ -49,14 +49,14 @@ AMOUNTS: Amounts = {
 
 
 class Faults:
-    """The active faults, and how often each still strikes. ``changed`` is called at each change."""
+    """The active faults: ``left``, how often each still strikes. ``changed``: at each change."""
 
     def __init__(
         self, seed: int, changed: Callable[[ArmFault, bool], None] = lambda _fault, _on: None
     ) -> None:
         self._seed = seed
         self._changed = changed
-        self._left: dict[ArmFault, int] = {}
+        self.left: dict[ArmFault, int] = {}
         self._spared: dict[ArmFault, int] = {}
         self._amounts = {fault: usual for fault, (usual, _) in AMOUNTS.items()}
         self._hits = 0
@@ -76,28 +76,28 @@ class Faults:
         known = ArmFault(fault)
         if known in AMOUNTS:
             self._amounts[known] = AMOUNTS[known][0] if amount is None else amount
-        self._left[known], self._spared[known] = times, after
+        self.left[known], self._spared[known] = times, after
         self._changed(known, True)
 
     def clear(self, fault: ArmFault | str) -> None:
         """End a fault, whether it was on or not. Raises ValueError for a name that isn't one."""
         check_fault("an arm has", fault, tuple(ArmFault), AMOUNTS)
         known = ArmFault(fault)
-        if self._left.pop(known, None) is not None:
+        if self.left.pop(known, None) is not None:
             self._changed(known, False)
 
     def on(self, fault: ArmFault) -> bool:
         """Whether the fault would strike; none of its times is used up."""
-        return self._left.get(fault, 0) > 0
+        return self.left.get(fault, 0) > 0
 
     def strikes(self, fault: ArmFault) -> bool:
         """Whether the fault happens now; one of its times is used up."""
-        if self._left.get(fault, 0) <= 0:
+        if self.left.get(fault, 0) <= 0:
             return False
         if self._spared[fault] > 0:
             self._spared[fault] -= 1
             return False
-        self._left[fault] -= 1
+        self.left[fault] -= 1
         return True
 
     def amount(self, fault: ArmFault) -> float:
@@ -106,11 +106,11 @@ class Faults:
 
     def amount_now(self, fault: ArmFault) -> float:
         """As ``amount`` where the fault happens now, as by ``strikes``; else 0."""
-        return self._amounts[fault] if self._left and self.strikes(fault) else 0.0
+        return self._amounts[fault] if self.left and self.strikes(fault) else 0.0
 
     def damage(self, answer: bytes) -> bytes:
         """One answer as the host gets it; the place is chance, the first byte is only ever lost."""
-        if not self._left or not answer:
+        if not self.left or not answer:
             return answer
         chance = self._chance()
         data = bytearray(answer)
@@ -127,7 +127,7 @@ class Faults:
 
     def lose_byte(self, question: bytes) -> bytes:
         """``question``, not empty; without one of its bytes where that fault strikes."""
-        if not self._left or not self.strikes(ArmFault.LOST_QUESTION):
+        if not self.left or not self.strikes(ArmFault.LOST_QUESTION):
             return question
         lost = int(self._chance().integers(0, len(question)))
         return question[:lost] + question[lost + 1 :]
@@ -138,7 +138,7 @@ class Faults:
 
     def cut(self, data: bytes) -> tuple[bytes, bool]:
         """As much of ``data`` as passes, and whether the cable breaks behind it."""
-        if not self._left or not self.on(ArmFault.DISCONNECT) or not data:
+        if not self.left or not self.on(ArmFault.DISCONNECT) or not data:
             return data, False
         passes = self._amounts[ArmFault.DISCONNECT]
         if len(data) <= passes:

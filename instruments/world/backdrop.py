@@ -16,12 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments import world as package
 from instruments.world.boards import Weave, woven
 from instruments.world.compositing import cover_outlines
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import Image, in_blocks
-from instruments.world.shading import Lamp, Lighting, Rows, irradiance
-from instruments.world.solids import Ints, Point, Solids, dot
+from instruments.world.shading import Lighting, Rows, irradiance
+from instruments.world.solids import Ints, Point, Solids
 
 TEXEL_MM = 2.0
 # rows and columns between pixels at which the light of a plane is worked out: the table lies
@@ -309,35 +310,16 @@ def shadow_map(lighting: Lighting, solids: Solids) -> ShadowMap | None:
     up = np.array([[0.0], [0.0], [1.0]], dtype=np.float32)
     sky = irradiance(Lighting(1.0, (), lighting.ambient), points, up)
     total, lit = sky, sky * _sky_left(solids, casters, points)
+    a, b = solids.a[casters].astype(np.float32), solids.b[casters].astype(np.float32)
+    wider = (solids.radius_b - solids.radius_a)[casters]
+    hulls = np.column_stack([a, b - a, solids.radius_a[casters], wider]).astype(np.float32)
     for lamp in lighting.lamps:
         light = irradiance(Lighting(1.0, (lamp,), 0.0), points, up)
-        total, lit = total + light, lit + light * _lamp_left(solids, casters, points, lamp)
+        at, left = np.array(lamp.at_mm, dtype=np.float32), np.ones_like(light)
+        package.kernels.lamp_left(hulls, points, at, LAMP_RADIUS_MM, left)
+        total, lit = total + light, lit + light * left
     share = (lit / np.maximum(total, 1e-9)).reshape(len(y), len(x))
     return ShadowMap(float(low[0]), float(low[1]), share.astype(np.float32))
-
-
-def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
-    """Share of a round lamp seen from table points (3, n): rays' gaps to solids by penumbra."""
-    way = np.asarray(lamp.at_mm, dtype=np.float32)[:, None] - points
-    far = np.sqrt(dot(way, way))
-    way /= far
-    left = np.ones_like(far)
-    for i in casters:
-        a, b = solids.a[i].astype(np.float32), solids.b[i].astype(np.float32)
-        # the ray's and the segment's nearest points: least distance, place on ray and segment
-        span, off = b - a, points - a[:, None]
-        cross, d_way, d_span = dot(way, span), dot(off, way), dot(off, span)
-        under = np.maximum(dot(span, span) - cross * cross, np.float32(1e-3))
-        part = np.clip((d_span - d_way * cross) / under, 0.0, 1.0)
-        along = np.maximum(part * cross - d_way, 0.0)
-        off += along * way
-        off -= part * span[:, None]
-        gap = np.sqrt(dot(off, off))
-        wider = np.float32(solids.radius_b[i] - solids.radius_a[i])
-        radius = np.float32(solids.radius_a[i]) + part * wider
-        half_shade = np.maximum(along, 2.0) * (LAMP_RADIUS_MM / far)
-        np.minimum(left, np.clip(0.5 + 0.5 * (gap - radius) / half_shade, 0.0, 1.0), out=left)
-    return np.asarray(left)
 
 
 def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:

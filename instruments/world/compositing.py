@@ -10,18 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments import world as package
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.solids import Ints, Solids, square_to
+from instruments.world.sensor import Part
+from instruments.world.solids import Ints, Solids
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Layer:
     """One object in one camera: each pixel (n,) that it covers, with its ``share``, ``depth_mm``,
     and ``value``: light, emissivity or phasor. ``along``: 0 to 1 between its two temperatures.
@@ -36,6 +38,19 @@ class Layer:
 
     def __len__(self) -> int:
         return len(self.share)
+
+    @cached_property
+    def around(self) -> Part:
+        """The part of an image that it covers; of one that covers a pixel."""
+        return (
+            slice(int(self.row.min()), int(self.row.max()) + 1),
+            slice(int(self.column.min()), int(self.column.max()) + 1),
+        )
+
+    @cached_property
+    def mean_depth_mm(self) -> float:
+        """Of its pixels, however much it covers of each."""
+        return float(self.depth_mm.mean())
 
 
 def lay_over(
@@ -55,16 +70,11 @@ def lay_over(
             for name in ("share", "depth_mm", "value")
         )
         pixel = np.concatenate(pixels)
-        # pixels where only one shows go at once
-        alone = np.bincount(pixel, minlength=len(flat))[pixel] == 1
-        once, shared = np.flatnonzero(alone), np.flatnonzero(~alone)
-        at, behind = pixel[once], flat[pixel[once]]
-        flat[at] = behind + share[once] * (value[once] - behind)
-        if len(shared):
-            at, light, behind, _ = _stacked(
-                pixel[shared], share[shared], depth[shared], owner[shared], value[shared]
-            )
-            flat[at] = light + behind * flat[at]
+        alone, nearest, light, behind = _stacked(pixel, share, depth, owner, value)
+        at, past = pixel[alone], flat[pixel[alone]]
+        flat[at] = past + share[alone] * (value[alone] - past)
+        at = pixel[nearest]
+        flat[at] = light + behind * flat[at]
 
 
 def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[Layer]]:
@@ -88,28 +98,13 @@ def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[Layer]]:
 
 def _stacked(
     pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
-) -> tuple[Ints, Floats, Floats, Ints]:
-    """Surfaces in pixels (m,): pixel, light, share seen past them, the nearest of each."""
-    # One key orders by pixel, then depth: a third of the time of two, and fine to 1e-4 mm.
-    order = np.argsort(pixel + depth / (1.0 + 2.0 * depth.max()))
-    sorted_pixel = pixel[order]
-    starts = np.append(True, sorted_pixel[1:] != sorted_pixel[:-1])
-    place = np.cumsum(starts) - 1
-    rank = np.arange(len(order)) - np.flatnonzero(starts)[place]
-    nearest = order[starts]
-    widest, last_owner = share[nearest], owner[nearest]
-    light = widest * value[nearest]
-    behind = np.ones(len(nearest))  # share of the pixel seen past all finished objects
-    for step in range(1, int(rank.max(initial=0)) + 1):
-        at = np.flatnonzero(rank == step)
-        now, here = order[at], place[at]
-        fresh = last_owner[here] != owner[now]
-        behind[here] *= np.where(fresh, 1.0 - widest[here], 1.0)
-        before = np.where(fresh, 0.0, widest[here])
-        after = np.maximum(before, share[now])
-        light[here] += behind[here] * (after - before) * value[now]
-        widest[here], last_owner[here] = after, owner[now]
-    return sorted_pixel[starts], light, behind * (1.0 - widest), nearest
+) -> tuple[Ints, Ints, NDArray[Any], Floats]:
+    """Surfaces in pixels (m,): those alone there; the nearest of others, light, share seen past."""
+    alone, order = package.kernels.by_pixel(pixel, depth)
+    kind = np.result_type(value, np.float64)  # complex as two numbers
+    pair = value.astype(kind).view(np.float64).reshape(len(value), -1)
+    nearest, light, behind = package.kernels.stacked(order, pixel, share, owner, pair)
+    return alone, nearest, light.view(kind)[:, 0], behind
 
 
 def merged(layer: Layer) -> Layer:
@@ -117,34 +112,27 @@ def merged(layer: Layer) -> Layer:
     if not len(layer):
         return layer
     left, top = int(layer.column.min()), int(layer.row.min())
-    wide = int(layer.column.max()) - left + 1
-    pixel = (layer.row - top) * wide + layer.column - left
-    often = np.bincount(pixel)[pixel] > 1
-    many, once = np.flatnonzero(often), np.flatnonzero(~often)
-    if not len(many):
+    pixel = (layer.row - top) * (int(layer.column.max()) - left + 1) + layer.column - left
+    one, value = np.zeros(len(pixel), dtype=np.intp), layer.value
+    alone, nearest, light, behind = _stacked(pixel, layer.share, layer.depth_mm, one, value)
+    if not len(nearest):
         return layer
-    owner, value = np.zeros(len(many), dtype=np.intp), layer.value
-    _, light, behind, nearest = _stacked(
-        pixel[many], layer.share[many], layer.depth_mm[many], owner, value[many]
-    )
-    keep, seen = np.concatenate([once, many[nearest]]), 1.0 - behind
-    mean = np.concatenate([value[once], light / np.maximum(seen, 1e-12)])
+    keep, seen = np.concatenate([alone, nearest]), 1.0 - behind
+    mean = np.concatenate([value[alone], light / np.maximum(seen, 1e-12)])
     return Layer(
         layer.row[keep],
         layer.column[keep],
-        np.concatenate([layer.share[once], seen]),
+        np.concatenate([layer.share[alone], seen]),
         layer.depth_mm[keep],
         mean.astype(value.dtype),
         None if layer.along is None else layer.along[keep],
     )
 
 
-STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
 # round an end whose radius in px is above, up to
 RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))
-MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
+MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than a piece's length
 NEAREST_MM = 50.0
-NOTHING = 1e-4  # less cover than this is no cover
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,13 +155,13 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
     _refuse_near(float(solids.nearest_depth().min()), camera)
     depth = np.minimum(solids.a[:, 2], solids.b[:, 2])
     size_px = np.maximum(solids.radius_a, solids.radius_b) / depth * float(camera.fc.max())
-    corners: dict[int, Floats] = {}
+    ends = solids.radius_a, solids.radius_b, solids.flat_a, solids.flat_b
+    table, corners = np.column_stack([solids.a, solids.b, solids.axis, *ends]), dict[int, Floats]()
     for points, above, up_to in RING_POINTS:
         which = np.flatnonzero((size_px > above) & (size_px <= up_to))
         if len(which) == 0:
             continue
-        rings = np.concatenate([_ring(solids, which, points, end) for end in (True, False)], axis=1)
-        clouds = rings[..., :2] / rings[..., 2:]
+        clouds = package.kernels.rims(table[which], *_circle(points))
         coarse = clouds.astype(np.float32, order="C")
         for number, cloud, rough in zip(which.tolist(), clouds, coarse, strict=True):
             corners[number] = cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
@@ -198,114 +186,36 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 
 def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     """Each solid's polygon (m, 2) in the ideal plane."""
-    counts = np.array([len(outline) for outline in corners], dtype=np.intp)
-    start = np.concatenate(corners).T.copy()
-    way = start[:, _following(counts)] - start
-    # edges in pieces of STEP_PX, those near the image kept, and distorted
-    x_px, y_px = way * camera.fc[:, None]
-    pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0).astype(np.intp)
-    edge, part = _repeated(pieces)
-    # where the lens puts these points, from the first pixel's corner, px
-    plane = start[:, edge] + part * (way / pieces)[:, edge]
-    low, high = (limit[:, None] for limit in _plane_window(camera))
-    pixels = camera.pixels_from_plane(np.minimum(np.maximum(plane, low), high).T).T
-    size = np.array([[camera.width_px], [camera.height_px]], dtype=np.float64)
+    counts, window = np.array([len(outline) for outline in corners]), _plane_window(camera)
+    counts, plane = package.kernels.pieces(counts, np.concatenate(corners), camera.fc, window)
     # From here a pixel reaches from its number to the next one.
-    points = np.minimum(np.maximum(pixels + 0.5, -MARGIN_PX), size + MARGIN_PX)
-    counts = np.add.reduceat(pieces, np.cumsum(counts) - counts)
-    end = points[:, _following(counts)]
-    return _areas(counts, points, end, camera)
+    pixels, size = camera.pixels_from_plane(plane) + 0.5, (camera.width_px, camera.height_px)
+    points = np.minimum(np.maximum(pixels, -MARGIN_PX), np.add(size, MARGIN_PX))
+    runs = np.cumsum(counts) - counts
+    left, top = np.floor(np.minimum.reduceat(points, runs)).astype(np.intp).T
+    right, bottom = np.floor(np.maximum.reduceat(points, runs)).astype(np.intp).T
+    windows = np.column_stack([left, right + 2, top, bottom + 1])
+    (solid, row, column), share = package.kernels.areas(counts, windows, points, *size)
+    return Cover(solid, row, column, share)
 
 
-def _following(counts: Ints) -> Ints:
-    """The point after each one of closed outlines of so many points."""
-    after, lasts = np.arange(1, int(counts.sum()) + 1), np.cumsum(counts) - 1
-    after[lasts] = lasts - counts + 1
-    return after
-
-
-def _repeated(counts: Ints) -> tuple[Ints, Ints]:
-    """Each place of ``counts`` so many times, and the number of each repetition from 0."""
-    which = np.repeat(np.arange(len(counts)), counts)
-    return which, np.arange(len(which)) - (np.cumsum(counts) - counts)[which]
-
-
-def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
-    """Outline of one end of each solid, (k, points, 3): a disc's rim, or a ball's limb."""
-    centre = (solids.a if at_a else solids.b)[which]
-    radius = (solids.radius_a if at_a else solids.radius_b)[which]
-    flat = (solids.flat_a if at_a else solids.flat_b)[which]
-    distance = np.linalg.norm(centre, axis=1)
-    across = np.where(flat[:, None], solids.axis[which], centre / distance[:, None])
-    shrink = np.where(flat, 0.0, (radius / distance) ** 2)
-    centre = centre * (1.0 - shrink)[:, None]
-    # A polygon inscribed in a circle is a little small; this one has the circle's area.
+@lru_cache
+def _circle(points: int) -> tuple[Floats, float]:
+    """Points of the unit circle, (m, 2), and by how much their polygon, which is inscribed and a
+    little small, is stretched to have the circle's area.
+    """
     step = 2.0 * np.pi / points
-    radius = radius * np.sqrt(1.0 - shrink) * np.sqrt(step / np.sin(step))
-    u, v = square_to(across)
     angle = np.arange(points) * step
-    circle = np.cos(angle)[:, None] * u[:, None, :] + np.sin(angle)[:, None] * v[:, None, :]
-    return np.asarray(centre[:, None, :] + radius[:, None, None] * circle)
+    stretch = float(np.sqrt(step / np.sin(step)))
+    return np.column_stack([np.cos(angle), np.sin(angle)]), stretch
 
 
 @lru_cache(maxsize=16)  # cameras are few and never change
-def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
-    """A part of the ideal plane with the image and its margin: a lens model may fold beyond it."""
+def _plane_window(camera: CameraModel) -> Floats:
+    """A part of the ideal plane with the image and its margin, its corners (2, 2): a lens model may
+    fold beyond it.
+    """
     w, h = camera.width_px + MARGIN_PX, camera.height_px + MARGIN_PX
     u, v = np.meshgrid(np.linspace(-MARGIN_PX, w, 9), np.linspace(-MARGIN_PX, h, 9))
     plane = camera.plane_from_pixels(np.column_stack([u.ravel(), v.ravel()]))
-    return plane.min(axis=0), plane.max(axis=0)
-
-
-def _areas(counts: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
-    """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero. Edges
-    (2, n), the outlines' one after the other.
-    """
-    runs = np.cumsum(counts) - counts
-    x0, y0 = np.floor(np.minimum.reduceat(start, runs, axis=1)).astype(np.intp)
-    right, bottom = np.floor(np.maximum.reduceat(start, runs, axis=1)).astype(np.intp)
-    width, height = right - x0 + 2, bottom - y0 + 1
-    offset = np.concatenate([[0], np.cumsum(width * height)])
-    edge, here, there = _split_at_pixels(start, end)
-    middle = 0.5 * (here + there)
-    column, row = np.floor(middle).astype(np.intp)
-    who = np.repeat(np.arange(len(counts)), counts)[edge]
-    cell = (offset[:-1] - y0 * width - x0)[who] + row * width[who] + column
-    rise = there[1] - here[1]
-    right_part = rise * (middle[0] - column)
-    total = int(offset[-1]) + 1
-    change = np.bincount(cell, rise - right_part, total) + np.bincount(cell + 1, right_part, total)
-    share = np.cumsum(change, out=change)
-    np.minimum(np.abs(share, out=share), 1.0, out=share)
-    flat = np.flatnonzero(share > NOTHING)
-    # both are in order, so each solid's cells are one run
-    solid, begins, wide, left, top = np.repeat(
-        [np.arange(len(counts)), offset[:-1], width, x0, y0],
-        np.diff(np.searchsorted(flat, offset)),
-        axis=1,
-    )
-    place = flat - begins
-    row = ((place + 0.5) / wide).astype(np.intp)  # a division of whole numbers is slower
-    column = place - row * wide + left
-    row += top
-    inside = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
-    return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
-
-
-def _split_at_pixels(start: Floats, end: Floats) -> tuple[Ints, Floats, Floats]:
-    """Cut edges (2, n) where they cross from pixel to pixel: which edge, from, to."""
-    way, count = end - start, start.shape[1]
-    first = np.floor(np.minimum(start, end)) + 1.0
-    crossings = np.maximum(np.ceil(np.maximum(start, end)) - first, 0.0).astype(np.intp)
-    crossed, number = _repeated(crossings.ravel())  # of x, then of y
-    line = first.ravel()[crossed] + number
-    part = np.minimum((line - start.ravel()[crossed]) / way.ravel()[crossed], 1.0 - 1e-9)
-    # the edge's number and how far along it: one sort orders both
-    key = np.sort(np.concatenate([np.arange(count, dtype=np.float64), crossed % count + part]))
-    edge = np.minimum(key.astype(np.intp), count - 1)
-    here = start[:, edge] + (key - edge) * way[:, edge]
-    there = np.empty_like(here)
-    there[:, :-1] = here[:, 1:]
-    last = np.flatnonzero(np.append(edge[1:] != edge[:-1], True))
-    there[:, last] = end[:, edge[last]]
-    return edge, here, there
+    return np.stack([plane.min(axis=0), plane.max(axis=0)])

@@ -22,7 +22,6 @@ from instruments.world.compositing import Cover, Layer, cover, cover_outlines, l
 from instruments.world.objects import SceneObject
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import (
-    ExpectedFrame,
     Grey,
     Image,
     OpticalReadout,
@@ -33,9 +32,10 @@ from instruments.world.sensor import (
     reach_px,
 )
 from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen_light
-from instruments.world.solids import BLOCK, Ints, dot, intersect
+from instruments.world.solids import Ints, dot, intersect
 from instruments.world.state import SceneState, Stage
 
+BLOCK = 8192  # pairs at a time: what is worked out on the way stays in the processor's cache
 KEPT_PIXELS = 100_000  # 5 MB a camera: a scene or two
 T = TypeVar("T")
 
@@ -190,44 +190,40 @@ class OpticalCamera:
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
         self._layers = KeptLayers()
-        self._latest: tuple[object, ExpectedFrame] | None = None
-        self._still: tuple[object, Image, ExpectedFrame] | None = None
-        self._changed = list[Part]()  # where the latest frame isn't that of the empty scene
+        self._latest: object = None  # what the kept light is of
+        self._still: tuple[object, Image, Image] | None = None  # of what, empty, and with things
+        self._changed = list[Part]()  # where these two differ
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
     ) -> Grey:
         """One exposure, (height, width) uint8."""
-        return self.readout.expose(self._expected(state, shadows), rng)
+        return self.readout.expose(self._light(state, shadows), rng, state.exposure)
 
     def expected(self, state: SceneState, shadows: ShadowMap | None = None) -> Image:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
-        return self._expected(state, shadows).mean.copy()
+        return self.readout.mean(self._light(state, shadows), state.exposure)
 
-    def _expected(self, state: SceneState, shadows: ShadowMap | None) -> ExpectedFrame:
-        """The frame before noise; kept while nothing changes."""
+    def _light(self, state: SceneState, shadows: ShadowMap | None) -> Image:
+        """Light on the sensor, (height, width); kept while nothing changes."""
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
-        key = (looks, fixed, shadows is None)
-        if self._latest is None or self._latest[0] != key:
-            lit = state.backdrop, state.lighting, state.exposure
-            if self._still is None or self._still[0] != lit:
-                self._latest = self._still = None  # let go before the next is drawn
-                camera, sensor = self.view.camera, self.readout.sensor
-                empty, soft = _empty(state.backdrop, state.lighting, camera, sensor)
-                still = blurred(empty, sensor.blur_px) if soft is None else soft
-                self._still = lit, still, ExpectedFrame(np.empty_like(still), np.empty_like(still))
-                self._changed = [(slice(0, camera.height_px), slice(0, camera.width_px))]
-            (_, still, frame), drawn = self._still, self._drawn(state, shadows)
-            changed = [part for part, _ in drawn]
-            if parts := self._changed + changed:
-                part = _joined(parts)
-                light = still[part].copy()
-                for at, seen in drawn:
-                    light[_within(at, part)] = seen
-                self.readout.expected(light, state.exposure, part, frame)
-            self._latest, self._changed = (key, frame), changed
-        return self._latest[1]
+        key, lit = (looks, fixed, shadows is None), (state.backdrop, state.lighting)
+        if self._still is None or self._still[0] != lit:
+            self._latest = self._still = None  # let go before the next is drawn
+            sensor = self.readout.sensor
+            empty, soft = _empty(*lit, self.view.camera, sensor)
+            still = blurred(empty, sensor.blur_px) if soft is None else soft
+            self._still, self._changed = (lit, still, still.copy()), []
+        _, still, light = self._still
+        if self._latest != key:
+            self._latest, drawn = None, self._drawn(state, shadows)
+            for part in self._changed:
+                light[part] = still[part]
+            for part, seen in drawn:
+                light[part] = seen
+            self._latest, self._changed = key, [part for part, _ in drawn]
+        return light
 
     def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[tuple[Part, Image]]:
         """The part of the picture that isn't empty, and light on the sensor there: the backdrop,
@@ -237,20 +233,16 @@ class OpticalCamera:
         empty, soft = _empty(state.backdrop, state.lighting, camera, self.readout.sensor)
         dark = shade(shadows, state.backdrop, camera) if shadows else None
         layers = [layer for seen in moments for layer in seen if len(layer)]
-        parts = [_around(layer) for layer in layers] + ([dark[0]] if dark else [])
+        parts = [layer.around for layer in layers] + ([dark[0]] if dark else [])
         if not parts:
             return []
         reach = reach_px(max(self._blurs(layers), default=self.readout.sensor.blur_px))
         part = _wider(_joined(parts), reach, empty.shape)
         wide = _wider(part, reach, empty.shape)  # the lens brings light from there
-        row, column = wide[0].start, wide[1].start
         dark = dark and (_within(dark[0], wide), dark[1])
         behind = empty[wide], None if soft is None else soft[wide], dark
         pictures = (
-            self._lens(
-                *behind, [replace(x, row=x.row - row, column=x.column - column) for x in seen]
-            )
-            for seen in moments
+            self._lens(*behind, wide, [one for one in seen if len(one)]) for seen in moments
         )
         light = next(pictures)
         for other in pictures:
@@ -278,23 +270,24 @@ class OpticalCamera:
         empty: Image,
         soft: Image | None,
         dark: tuple[Part, Image] | None,
+        wide: Part,
         layers: Sequence[Layer],
     ) -> Image:
-        """Light on the sensor; out-of-focus things in layers, far to near."""
-        sharp, apart = self.readout.sensor.blur_px, [layer for layer in layers if len(layer)]
-        blurs = self._blurs(apart)
+        """Light on a part of the sensor; out-of-focus things in layers, far to near."""
+        sharp, blurs = self.readout.sensor.blur_px, self._blurs(layers)
         if soft is None and max(blurs, default=sharp) > sharp:
             soft = blurred(empty, sharp)
         light = (empty if soft is None else soft).copy()
         if dark is not None:
             light[dark[0]] *= dark[1]
         if soft is None:
-            lay_over(light, layers)
+            lay_over(light, layers, (wide[0].start, wide[1].start))
             return blurred(light, sharp)
-        for i in sorted(range(len(apart)), key=lambda i: -float(apart[i].depth_mm.mean())):
-            layer, sigma = apart[i], blurs[i]
-            part = _wider(_around(layer), reach_px(sigma), light.shape, lanes=1)
-            corner, behind = (part[0].start, part[1].start), light[part]
+        shape = self.view.rays[0].shape
+        for i in sorted(range(len(layers)), key=lambda i: -layers[i].mean_depth_mm):
+            layer, sigma = layers[i], blurs[i]
+            part = _wider(layer.around, reach_px(sigma), shape, lanes=1)
+            corner, behind = (part[0].start, part[1].start), light[_within(part, wide)]
             cover, own = np.zeros_like(behind), np.zeros_like(behind)
             lay_over(own, [layer], corner)
             lay_over(cover, [replace(layer, value=np.ones_like(layer.value))], corner)
@@ -305,7 +298,7 @@ class OpticalCamera:
     def _blurs(self, layers: Sequence[Layer]) -> list[float]:
         """Blur of each layer's picture, sigma in px."""
         sensor, sharp = self.readout.sensor, self.readout.sensor.blur_px
-        depths = (float(layer.depth_mm.mean()) for layer in layers)
+        depths = (layer.mean_depth_mm for layer in layers)
         blurs = (float(_sigma_px(sensor, depth, self._focal_px)) for depth in depths)
         return [sigma if sigma - sharp > SHARP_PX else sharp for sigma in blurs]
 
@@ -328,7 +321,7 @@ class OpticalCamera:
         stage = Stage.of(things)
         seen = self.view.surfaces(stage)
         turn = self.view.camera.R.T.astype(np.float32)
-        eye = self.view.camera.centre_mm.astype(np.float32)[:, None]
+        eye = self.view.camera.centre_mm.astype(np.float32)
         looks = [(thing.paint.albedo, thing.paint.gloss) for thing in things]
         paints = np.array(looks, dtype=np.float32).reshape(-1, 2).T
         exponents = np.array([thing.paint.gloss_exponent for thing in things], dtype=np.float32)
@@ -336,7 +329,8 @@ class OpticalCamera:
         light = np.empty(len(seen.owner), dtype=np.float32)
         for start in range(0, len(light), BLOCK):
             part = slice(start, start + BLOCK)
-            points = turn @ (seen.depth_mm[part] * seen.rays[:, part]).astype(np.float32) + eye
+            points = turn @ (seen.depth_mm[part] * seen.rays[:, part]).astype(np.float32)
+            points += eye[:, None]
             normals = turn @ seen.normals[:, part].astype(np.float32)
             owner = seen.owner[part]
             albedo, gloss = np.repeat(paints, np.bincount(owner, minlength=len(things)), axis=1)
@@ -371,12 +365,6 @@ def _sigma_px(
 ) -> Floats:
     """Blur at a depth, of the lens and out of focus."""
     return np.asarray(np.hypot(sensor.focus.sigma_px(depth_mm, focal_px), sensor.blur_px))
-
-
-def _around(layer: Layer) -> Part:
-    """The part of an image that a layer covers."""
-    rows, columns = (slice(int(at.min()), int(at.max()) + 1) for at in (layer.row, layer.column))
-    return rows, columns
 
 
 def _joined(parts: Sequence[Part]) -> Part:

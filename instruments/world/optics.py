@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments import world as package
+
 Floats = NDArray[np.float64]
 
 ROWS_AT_ONCE = 32  # a block of rows whose iteration stays in the processor's cache
@@ -130,26 +132,9 @@ def _distort(x: Floats, y: Floats, kc: Floats) -> tuple[Floats, Floats]:
 
 def _undistort(x_d: Floats, y_d: Floats, kc: Floats, name: str) -> tuple[Floats, Floats]:
     """Newton's iteration on both coordinates; raises ValueError where the lens model folds."""
-    k1, k2, p1, p2, k3 = kc
-    x, y = x_d, y_d
-    if not np.any(kc):
+    x, y = x_d.copy(), y_d.copy()
+    if not np.any(kc) or package.kernels.undistort(x_d, y_d, kc, x, y, NEWTON_STEPS, CONVERGED):
         return x, y
-    for _ in range(NEWTON_STEPS):
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))  # d radial / d r2, twice
-        xy = x * y
-        miss_x = x * radial + 2.0 * p1 * xy + p2 * (r2 + 2.0 * x * x) - x_d
-        miss_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * xy - y_d
-        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-        cross = slope * xy + 2.0 * p1 * x + 2.0 * p2 * y
-        scale = 1.0 / (xx * yy - cross * cross)
-        step_x = (yy * miss_x - cross * miss_y) * scale
-        step_y = (xx * miss_y - cross * miss_x) * scale
-        x, y = x - step_x, y - step_y
-        if max(float(np.abs(step_x).max()), float(np.abs(step_y).max())) < CONVERGED:
-            return x, y
     raise ValueError(
         f"camera {name}: the distortion kc = {kc.tolist()} can't be undone over the whole image;"
         " check kc in the calibration"

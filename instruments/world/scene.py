@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
 from typing import Any
 
 import cv2
@@ -64,6 +65,7 @@ class Renderer:
         thermal: ThermalSensor | None = None,
         depth: DepthCamera | None = None,
     ) -> None:
+        import_module("instruments.world.kernels")  # compiled now, if at all: not amid a run
         seeds = np.random.SeedSequence(camera_seed).spawn(3)
         sensor = optical or OpticalSensor()
         self.cameras = cameras

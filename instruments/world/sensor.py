@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments import world as package
 from instruments.world.optics import Floats
 
 Image = NDArray[np.float32]
 Part = tuple[slice, slice]  # rows and columns
-WHOLE: Part = (slice(None), slice(None))
 NOISE_LEVELS = 65536
 BLOCK = 32768  # pixels
 
@@ -35,12 +35,16 @@ def _normal_levels() -> Image:
     return np.asarray(levels / levels.std(), dtype=np.float32)
 
 
+def _words(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
+    """Random numbers of 16 bits, which name normal levels."""
+    bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
+    return bits.astype("<u8", copy=False).view("<u2")[:count].astype(np.uint16, copy=False)
+
+
 def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma."""
-    count = shape[0] * shape[1]
-    bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
-    level = bits.astype("<u8", copy=False).view("<u2")[:count].astype(np.uint16, copy=False)
-    return np.asarray(cv2.LUT(level.reshape(shape), _normal_levels()), dtype=np.float32)
+    level = _words(rng, shape[0] * shape[1]).reshape(shape)
+    return np.asarray(cv2.LUT(level, _normal_levels()), dtype=np.float32)
 
 
 def in_blocks(image: Image) -> Iterator[slice]:
@@ -145,14 +149,6 @@ class OpticalSensor:
         return self.white_dn / self.full_well_e
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExpectedFrame:
-    """A frame before noise: mean grey level and its standard deviation."""
-
-    mean: Image
-    spread: Image
-
-
 class OpticalReadout:
     """One optical camera's sensor: its fixed pattern and its grey levels."""
 
@@ -168,49 +164,27 @@ class OpticalReadout:
         vignette = 1.0 - np.float32(sensor.vignetting) * (1.0 - cos4)
         self._response = vignette * (1.0 + np.float32(sensor.prnu) * normal_noise(rng, shape))
 
-    def expected(
-        self,
-        light: Image,
-        exposure: Exposure | None = None,
-        part: Part = WHOLE,
-        frame: ExpectedFrame | None = None,
-    ) -> ExpectedFrame:
-        """What light on the sensor gives, (h, w), or on a ``part`` of it, written there in the
-        ``frame``. Variance: K^2 (electrons + read noise^2), EMVA 1288; a full well holds no more.
-        """
-        shutter = exposure or Exposure()
-        whole = frame or ExpectedFrame(np.empty_like(light), np.empty_like(light))
-        sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
-        full = np.float32(sensor.full_well_e)
-        dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
-        filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
-        mean, spread = whole.mean[part], whole.spread[part]
-        response, dark_e = self._response[part], self._dark_e[part]
-        for rows in in_blocks(light):
-            electrons, variance = mean[rows], spread[rows]
-            np.multiply(light[rows], response[rows], out=electrons)
-            electrons *= filled
-            electrons += dark
-            np.minimum(electrons, full, out=electrons)
-            np.add(electrons, np.float32(sensor.read_noise_e**2), out=variance)
-            variance *= np.float32(gain**2)
-            np.sqrt(variance, out=variance)
-            electrons += dark_e[rows]
-            electrons *= np.float32(gain)
-            electrons += np.float32(sensor.offset_dn)
-        return whole
+    def mean(self, light: Image, exposure: Exposure | None = None) -> Image:
+        """Mean grey levels that light on the sensor gives, (h, w), before rounding."""
+        filled, dark, full, _, _, gain, offset, _ = self._constants(exposure or Exposure())
+        electrons = np.minimum(light * self._response * filled + dark, full)
+        return np.asarray((electrons + self._dark_e) * gain + offset)
 
-    def expose(self, expected: ExpectedFrame, rng: np.random.Generator) -> Grey:
-        """One exposure with fresh noise, uint8 (uint16 above 8 bits)."""
-        mean, spread = expected.mean, expected.spread
-        noise = normal_noise(rng, (mean.shape[0], mean.shape[1]))
-        depth, kind = (cv2.CV_16U, np.uint16) if self.sensor.bits > 8 else (cv2.CV_8U, np.uint8)
-        exposed: Grey = np.empty(mean.shape, dtype=kind)
-        for rows in in_blocks(mean):
-            part = noise[rows]
-            part *= spread[rows]
-            cv2.add(part, mean[rows], exposed[rows], dtype=depth)
-        most = 2**self.sensor.bits - 1
-        if most < np.iinfo(kind).max:  # else it has saturated there
-            np.minimum(exposed, kind(most), out=exposed)
-        return exposed
+    def expose(
+        self, light: Image, rng: np.random.Generator, exposure: Exposure | None = None
+    ) -> Grey:
+        """What light on the sensor gives with fresh noise, (h, w): uint8 (uint16 above 8 bits)."""
+        pixels = light, self._response, self._dark_e, _words(rng, light.size).reshape(light.shape)
+        constants, exposed = self._constants(exposure or Exposure()), np.empty_like(pixels[3])
+        package.kernels.expose(*pixels, _normal_levels(), constants, exposed)
+        return exposed if self.sensor.bits > 8 else exposed.astype(np.uint8)
+
+    def _constants(self, shutter: Exposure) -> Image:
+        """Electrons at light 1, of dark current, and of a full well, which holds no more; variance
+        of reading; grey levels by electron, squared and plain, at no light, and at most.
+        """
+        sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
+        filled = sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S
+        electrons = filled, sensor.dark_e_per_s * shutter.time_s, sensor.full_well_e
+        grey = gain**2, gain, sensor.offset_dn, 2**sensor.bits - 1
+        return np.array([*electrons, sensor.read_noise_e**2, *grey], dtype=np.float32)

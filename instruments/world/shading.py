@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from instruments import world as package
 from instruments.world.optics import Floats
 from instruments.world.solids import Point, dot
 
@@ -21,6 +22,7 @@ BAND_EXPONENT = 4.8
 REFERENCE_K = 300.0
 GLOSS_EXPONENT = 32
 
+Singles = NDArray[np.float32]
 Rows = NDArray[Any]  # float32 or float64; vectors as (3, n)
 
 
@@ -75,25 +77,22 @@ def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
 
 def seen_light(
     lighting: Lighting,
-    points_mm: Rows,
-    normals: Rows,
-    eye_mm: Rows,
-    albedo: Rows,
-    gloss: Rows,
-    exponent: Rows | float = GLOSS_EXPONENT,
-) -> Rows:
-    """Light (n,) from points (3, n) towards ``eye_mm`` (3, 1): Lambert's law and highlights.
+    points_mm: Singles,
+    normals: Singles,
+    eye_mm: Singles,
+    albedo: Singles,
+    gloss: Singles,
+    exponent: Singles | float = GLOSS_EXPONENT,
+) -> Singles:
+    """Light (n,) from points (3, n) towards ``eye_mm`` (3,): Lambert's law and highlights.
     ``albedo``, ``gloss`` and ``exponent``, each (n,), are those of `Paint`.
     """
-    view = eye_mm - points_mm
-    view /= np.sqrt(dot(view, view))
-    light = albedo * lighting.ambient * (0.65 + 0.35 * normals[2])
+    light, parts = albedo * lighting.ambient * (0.65 + 0.35 * normals[2]), np.empty_like(points_mm)
     for lamp in lighting.lamps:
-        direction, square = _towards(lamp, points_mm)
-        half = direction + view
-        shine = np.maximum(dot(half, normals), 0.0) / np.sqrt(dot(half, half))
-        lambert = albedo * np.maximum(dot(direction, normals), 0.0)
-        light += lamp.power * 1e6 / square * (lambert + gloss * shine**exponent)
+        at, power = np.array(lamp.at_mm, dtype=np.float32), lamp.power * 1e6
+        package.kernels.lamp_light(points_mm, normals, eye_mm, at, power, albedo, parts)
+        strength, lambert, shine = parts
+        light += strength * (lambert + gloss * shine**exponent)
     return np.asarray(light * lighting.brightness)
 
 

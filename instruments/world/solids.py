@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments import world as package
 from instruments.world.optics import CameraModel, Floats
 
 Ints = NDArray[np.intp]
@@ -151,9 +152,6 @@ class Solids:
         return np.asarray(away <= radius_mm[:, None] ** 2)
 
 
-BLOCK = 8192  # pairs at a time: what is worked out on the way stays in the processor's cache
-
-
 def dot(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
     """Scalar products of columns: (3, n) with (3, n), (3, 1) or (3,); float32 or float64."""
     return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
@@ -171,8 +169,8 @@ def square_to(axes: Floats) -> tuple[Floats, Floats]:
 
 
 def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    """Ray (x, y, 1) with solid ``which``, each (n,), ascending: depth (n,) mm, outward normal
-    (3, n), truly hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
+    """Ray (x, y, 1) with solid ``which``, each (n,): depth (n,) mm, outward normal (3, n), truly
+    hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
     """
     # The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, camera at the origin; the height and qb
     # are linear in the ray: their coefficients, and qc, are one for each solid.
@@ -181,91 +179,11 @@ def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats
     bend = 1.0 + k * k
     to_b = -a - (bend * h0 + k * r0) * axis
     qc = dot(a, a) - bend * h0 * h0 - 2.0 * k * r0 * h0 - r0 * r0
-    flat = solids.flat_a + 2.0 * solids.flat_b
-    columns = np.stack([*axis, *to_b, bend, h0, qc, k, r0, *a, solids.low, solids.high, flat])
+    ends = *-solids.b.T, solids.radius_a, solids.radius_b, solids.flat_a, solids.flat_b
+    columns = np.stack([*axis, *to_b, bend, h0, qc, k, r0, solids.low, solids.high, *-a, *ends])
     depth, hit, normal = np.empty(len(x)), np.empty(len(x), dtype=np.bool_), np.empty((3, len(x)))
-    for start in range(0, len(x), BLOCK):
-        part = slice(start, start + BLOCK)
-        depth[part], normal[:, part], hit[part] = _meet_block(
-            solids, columns, which[part], x[part], y[part]
-        )
+    package.kernels.meet(columns.T.copy(), which, x, y, depth, normal, hit)
     return depth, normal, hit
-
-
-def _meet_block(
-    solids: Solids, columns: Floats, which: Ints, x: Floats, y: Floats
-) -> tuple[Floats, Floats, Bools]:
-    counts = np.bincount(which, minlength=len(solids))
-    (
-        axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc,
-        slope, radius_0, a_x, a_y, a_z, low, high, flat_ends,
-    ) = np.repeat(columns, counts, axis=1)  # fmt: skip
-    dh = x * axis_x + y * axis_y + axis_z
-    qb = x * b_x + y * b_y + b_z
-    # a ray along the axis meets an end, never the body
-    qa = np.maximum(x * x + y * y + 1.0 - bend * dh * dh, 1e-9)
-    under = qb * qb - qa * qc
-    depth = (-qb - np.sqrt(np.maximum(under, 0.0))) / qa
-    height, hit = h0 + depth * dh, under >= 0.0
-    # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
-    along = height + slope * (radius_0 + slope * height)
-    normal = np.stack(
-        [
-            depth * x - a_x - along * axis_x,
-            depth * y - a_y - along * axis_y,
-            depth - a_z - along * axis_z,
-        ]
-    )
-    for below in (True, False):
-        beyond = np.flatnonzero(height < low if below else height > high)
-        if len(beyond) == 0:
-            continue
-        flat = (flat_ends[beyond] % 2.0 == 1.0) if below else (flat_ends[beyond] >= 2.0)
-        for solve, at in ((_intersect_disc, beyond[flat]), (_intersect_ball, beyond[~flat])):
-            if len(at):
-                rays = np.stack([x[at], y[at], np.ones(len(at))])
-                there, outward, found, keep = solve(solids, which[at], rays, below)
-                hit[at] = found
-                kept = at[keep]
-                depth[kept] = there[keep]
-                for row, new in zip(normal, outward, strict=True):
-                    row[kept] = new[keep]
-    normal /= np.sqrt(dot(normal, normal))
-    return depth, normal, hit
-
-
-# depth, outward normal, truly hit, to be kept
-Met = tuple[Floats, Floats, Bools, Bools | slice]
-
-
-def _each(vectors: Floats, which: Ints) -> Floats:
-    """The vectors (k, 3) of these solids, (3, n): row by row in a third of the time of all."""
-    return np.stack([row[which] for row in vectors.T])
-
-
-def _intersect_ball(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
-    centre = _each(solids.a if below else solids.b, which)
-    radius = (solids.radius_a if below else solids.radius_b)[which]
-    qa = dot(rays, rays)
-    middle = dot(rays, centre) / qa
-    # Distance of the centre from the ray first: b^2 - a c would lose half of the digits at a metre.
-    foot = middle * rays - centre
-    under = radius * radius - dot(foot, foot)
-    depth = middle - np.sqrt(np.maximum(under, 0.0) / qa)
-    return depth, depth * rays - centre, under >= 0.0, slice(None)
-
-
-def _intersect_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
-    centre = _each(solids.a if below else solids.b, which)
-    radius = (solids.radius_a if below else solids.radius_b)[which]
-    outward = _each(solids.axis, which) * (-1.0 if below else 1.0)
-    towards = dot(rays, outward)
-    facing = towards < -1e-9
-    depth = dot(centre, outward) / np.where(facing, towards, -1.0)
-    off = depth * rays - centre
-    hit = facing & (dot(off, off) <= radius * radius)
-    # A ray that misses keeps the rim's depth and normal from the cone.
-    return depth, outward, hit, hit
 
 
 def clearance_mm(one: Hull, other: Hull) -> float:

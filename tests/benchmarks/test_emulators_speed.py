@@ -1,8 +1,8 @@
 """Round trips with an emulator beside those with a peer, each in a process of its own: no end waits
 for another's turn in the interpreter. They take turns; the best of five each.
 
-The arm's aim is 1.2 of an echo of the package sinstruments. That had 0.55 of the round trips of the
-echo here when both were measured by hand, beside other work.
+The arm's aim is 1.2 of an echo of the package sinstruments, where that is installed. The bare echo
+is what Python can do at most on this machine: it does nothing but to receive and to send.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from subprocess import PIPE
 from typing import Any
 
@@ -78,6 +79,23 @@ thread(lambda: asyncio.run(run(ready)))
 ready.wait()
 serve(port)
 """
+SINSTRUMENTS = """
+from sinstruments.simulator import BaseDevice, Server
+class Echo(BaseDevice):
+    handle_message = lambda self, message: message
+with socket.create_server(("127.0.0.1", 0)) as free:
+    port = free.getsockname()[1]
+def run(ready):
+    wire = {"type": "tcp", "url": ["127.0.0.1", port]}
+    server = Server(devices=[dict(name="e", package="__main__", transports=[wire], **{"class": "Echo"})])
+    server.start()
+    ready.set()
+    server.serve_forever()
+ready = threading.Event()
+thread(run, ready)
+ready.wait()
+serve(port)
+"""
 SET_POINT = bytes.fromhex("0001 0000 0006 01 03 0002 0002")  # by Modbus TCP
 
 
@@ -115,6 +133,7 @@ def served(code: str, ask: bytes, answer: int, before: tuple[bytes, ...] = ()) -
 ROWS: dict[str, tuple[Any, ...]] = {
     "arm": (OURS + ARM, b"\x03", 14, (b"\xc5IMMC", b"BEGIN")),
     "an echo": (ECHO, b"x" * 14, 14),
+    "sinstruments": (SINSTRUMENTS, b"x" * 13 + b"\n", 14),
     "bath": (OURS + BATH, SET_POINT, 13),
     "pymodbus's server": (PYMODBUS, SET_POINT, 13),
 }
@@ -122,9 +141,15 @@ ROWS: dict[str, tuple[Any, ...]] = {
 
 @pytest.mark.parametrize(
     ("name", "peer", "aim"),
-    [("arm", "an echo", "at least 0.66"), ("bath", "pymodbus's server", "at least 2")],
+    [
+        ("arm", "an echo", "at least 0.66, below 1"),
+        ("arm", "sinstruments", "at least 1.2"),
+        ("bath", "pymodbus's server", "at least 2"),
+    ],
 )
 def test_round_trips(benchmark: BenchmarkFixture, name: str, peer: str, aim: str) -> None:
+    if peer == "sinstruments" and not find_spec(peer):
+        pytest.skip("sinstruments is not installed")
     with served(*ROWS[name]) as ours, served(*ROWS[peer]) as theirs:
         turns = benchmark.pedantic(lambda: [(*ours(), *theirs()) for _ in range(5)], rounds=1)
     ours_s, spent_s, theirs_s, their_spent_s = map(min, zip(*turns, strict=True))

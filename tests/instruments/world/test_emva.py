@@ -43,12 +43,13 @@ class Bench:
         self._taken = 0
 
     def frames(self, level: float, count: int) -> list[str]:
-        flat = self._camera.expected(np.full(SHAPE, level, dtype=np.float32), self._exposure)
+        flat = np.full(SHAPE, level, dtype=np.float32)
         names = []
         for _ in range(count):
             self._taken += 1
             path = self._folder / f"{self._taken}.npy"
-            np.save(path, self._camera.expose(flat, np.random.default_rng(self._taken)))
+            fresh = np.random.default_rng(self._taken)
+            np.save(path, self._camera.expose(flat, fresh, self._exposure))
             names.append(str(path))
         return names
 

@@ -33,6 +33,14 @@ def test_the_thermal_sensor_is_that_of_the_rig_file() -> None:
 
 
 @pytest.mark.slow
+def test_loops_are_compiled_when_a_renderer_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the first picture it would take longer than a bench may hang that heats."""
+    made = list[str]()
+    monkeypatch.setattr("instruments.world.scene.import_module", made.append)
+    Renderer.from_calibration(calibration_table(), 7)
+    assert made == ["instruments.world.kernels"]
+
+
 def test_teats_have_their_own_temperatures() -> None:
     state = replace(warm(), teat_temps_c=(30.0, 31.0, 32.0, 33.0))
     seen = renderer().thermal.expected_k(state)
