@@ -189,9 +189,10 @@ def _scores(
     m = len(teats)
     arc = np.column_stack([-np.cos(_ARC), np.sin(_ARC)])
     swells = np.array(np.broadcast_to(swell, m), dtype=float)
-    found = kernels.across(
+    found = np.empty((len(shifts), m), dtype=np.float32)
+    kernels.across(
         each.gradients, shifts, np.ascontiguousarray(teats), swells,
-        (each.view.numbers, each.view.corner_px), (arc, _BELOW), end,
+        (each.view.numbers, each.view.corner_px), (arc, _BELOW), end, found,
     )  # fmt: skip
     return np.asarray(found)
 

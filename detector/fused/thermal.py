@@ -29,6 +29,7 @@ _BAR_LEANS = (-0.66, -0.44, -0.22, 0.0, 0.22, 0.44, 0.66)
 _WIDER, _MOST_TIPS = 1.31, 250  # from one width that is tried to the next
 ROOM_PX = 48  # of zeros about the gradients, for outlines beyond the picture
 _APART_PX, _NARROWEST_PX = 4.0, 1.6
+_EVERY = 3  # of so many pixels in either direction one tells how noisy gradients are
 # strengths, 0 to 1
 _STEEP, _LEAST_END, _LEAST_BAR = 0.35, 0.25, 0.45
 
@@ -209,8 +210,12 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0, border:
     noise's. With a ``border`` of zeros.
     """
     smooth: Field = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur_px), dtype=np.float32)
-    half = np.float32(max(noises * median(kernels.steepness(smooth, 3)), 1e-6))
-    return np.asarray(kernels.squeezed(smooth, half, border))
+    steep = np.empty([-(-side // _EVERY) for side in smooth.shape], dtype=np.float32)
+    kernels.steepness(smooth, _EVERY, steep)
+    rows, columns = smooth.shape
+    found = np.zeros((rows + 2 * border, columns + 2 * border, 2), dtype=np.float32)
+    kernels.squeezed(smooth, np.float32(max(noises * median(steep), 1e-6)), border, found)
+    return found
 
 
 def _scores(
@@ -231,7 +236,8 @@ def _scores(
     for width in widths:
         off, normals = _shapes(end, width, leans, down)
         flat = off[..., 1] * columns + off[..., 0]
-        found.append(kernels.along_shapes(every, start, flat, normals, end))
+        found.append(np.zeros((*off.shape[:2], len(start)), dtype=np.float32))
+        kernels.along_shapes(every, start, flat, normals, end, found[-1])
     left, right, *top = np.concatenate(found).swapaxes(0, 1)
     if not end:
         return np.asarray(np.minimum(-left, -right))

@@ -124,7 +124,9 @@ def sample_into(
     ``corner_px`` (2,). ``places``: middles and normals (., k, 2), which rows of these, and of each
     the first and how many.
     """
-    x, y, inside = package.kernels.places(places, corner_px, offsets_px, field.shape)
+    x, y = np.empty_like(lines), np.empty_like(lines)
+    inside = np.empty(len(lines), dtype=bool)
+    package.kernels.places(places, corner_px, offsets_px, field.shape, (x, y), inside)
     cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=lines)
     lines[~inside] = np.nan
 

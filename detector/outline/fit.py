@@ -128,17 +128,26 @@ _LIMITS = (  # of a step, and of teats after it: at least and at most
 
 def weights(seen: OutlineEdges, scale: float) -> Array:
     """Weights (m, k): by uncertainty, Cauchy beyond ``scale`` floors, zero with hardly an edge."""
-    found = package.kernels.weights(
-        seen.offset_px, seen.sd_px, seen.clarity, seen.floor_px, seen.jacobian, scale, LEAST_CLEAR
-    )
-    return np.asarray(found)
+    found = np.empty_like(seen.offset_px)
+    package.kernels.weights(
+        seen.offset_px, seen.sd_px, seen.clarity, seen.floor_px, seen.jacobian, scale, LEAST_CLEAR,
+        found,
+    )  # fmt: skip
+    return found
+
+
+def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array]:
+    """Matrices (m, 8, 8) and right sides (m, 8) of least squares."""
+    H, b = np.zeros((len(weight), COUNT, COUNT)), np.zeros((len(weight), COUNT))
+    package.kernels.squares(jacobian, offset, weight, H, b)
+    return H, b
 
 
 def information(seen: OutlineEdges, weight: Array, sure: Array) -> Array:
     """Matrices (m, 8, 8) of the least-squares step, with the priors' `usual` inverse variances
     (8,), or (m, 8).
     """
-    H, _ = package.kernels.squares(seen.jacobian, seen.offset_px, weight)
+    H, _ = squares(seen.jacobian, seen.offset_px, weight)
     return np.asarray(H + sure[..., None] * np.eye(COUNT))
 
 
@@ -152,11 +161,12 @@ def usual(prior: Prior) -> tuple[Array, Array]:
 
 def step(teats: Array, seen: OutlineEdges, weight: Array, prior: Prior) -> Array:
     """Teats (m, 8) after one damped step, no longer than makes sense."""
-    moved = package.kernels.step(
+    moved = np.empty(teats.shape)
+    package.kernels.step(
         np.ascontiguousarray(teats), seen.jacobian, seen.offset_px, weight, *usual(prior),
-        _DAMPING, _LIMITS,
+        _DAMPING, _LIMITS, moved,
     )  # fmt: skip
-    return np.asarray(moved)
+    return moved
 
 
 def upright(ends_mm: Array, calibration: Calibration, beside_px: Array, prior: Prior) -> Array:

@@ -4,6 +4,9 @@ Compiled for one signature when this module is imported, and kept on disk (besid
 in the user's cache, or in NUMBA_CACHE_DIR). What is kept is as old as the file of a loop: so one
 file has all. No fast mathematics but for sums that are exact: others have numpy's order where it
 shows.
+
+A loop fills arrays and gives back a number at most. A Ctrl-C that comes amid a loop is raised where
+an array is handed back, in numba's own code, which then crashes.
 """
 
 from __future__ import annotations
@@ -425,11 +428,10 @@ def _gradient(
     return _f4(0.125) * x, _f4(0.125) * y
 
 
-@_compiled("f4[:,::1](f4[:,::1],i8)")
-def steepness(field: Field, every: int) -> Field:
-    """Lengths of gradients, at one pixel of so many in either direction; the rim mirrors."""
+@_compiled("void(f4[:,::1],i8,f4[:,::1])")
+def steepness(field: Field, every: int, result: Field) -> None:
+    """Fills lengths of gradients, at one pixel of so many in either direction; the rim mirrors."""
     rows, columns = field.shape
-    result = np.empty(((rows + every - 1) // every, (columns + every - 1) // every), dtype=_f4)
     for i in range(len(result)):
         r = i * every
         above, here, below = field[abs(r - 1)], field[r], field[r + 1 if r + 1 < rows else r - 1]
@@ -437,16 +439,14 @@ def steepness(field: Field, every: int) -> Field:
             c = j * every
             x, y = _gradient(above, here, below, abs(c - 1), c, c + 1 if c + 1 < columns else c - 1)
             result[i, j] = np.sqrt(x * x + y * y)
-    return result
 
 
-@_compiled("f4[:,:,::1](f4[:,::1],f4,i8)")
-def squeezed(field: Field, half: np.float32, border: int) -> Field:
-    """Gradients (rows, columns, 2), each as long as a share of 1, one half at a length of
-    ``half``; with a border of zeros.
+@_compiled("void(f4[:,::1],f4,i8,f4[:,:,::1])")
+def squeezed(field: Field, half: np.float32, border: int, result: Field) -> None:
+    """Fills gradients (rows, columns, 2), each as long as a share of 1, one half at a length of
+    ``half``, within a ``border``.
     """
     rows, columns = field.shape
-    result = np.zeros((rows + 2 * border, columns + 2 * border, 2), dtype=_f4)
     x, y, last = np.empty(columns, dtype=_f4), np.empty(columns, dtype=_f4), columns - 1
     for r in range(rows):
         above, here, below = field[abs(r - 1)], field[r], field[r + 1 if r + 1 < rows else r - 1]
@@ -461,12 +461,11 @@ def squeezed(field: Field, half: np.float32, border: int) -> Field:
         row = result[border + r]
         for c in range(columns):
             row[border + c, 0], row[border + c, 1] = x[c], y[c]
-    return result
 
 
 @_compiled(
-    "f4[:,::1](f4[:,:,::1],f4[:,::1],f8[:,::1],f8[::1],UniTuple(f8[::1],2),"
-    "Tuple((f8[:,::1],f8[::1])),b1)"
+    "void(f4[:,:,::1],f4[:,::1],f8[:,::1],f8[::1],UniTuple(f8[::1],2),"
+    "Tuple((f8[:,::1],f8[::1])),b1,f4[:,::1])"
 )
 def across(
     gradients: Field,
@@ -476,16 +475,17 @@ def across(
     view: Arrays,
     shape: Arrays,
     end: bool,
-) -> Field:
-    """Scores (shifts, m) of teats (m, 8), each with its ``swell`` (m,), in `squeezed` gradients
-    with a border of one. ``view``: numbers of `fit.CameraView` (22,) and the first pixel's place;
-    ``shape``: (k, 2) of the end, down and to the right, and of the sides.
+    result: Field,
+) -> None:
+    """Fills scores (shifts, m) of teats (m, 8), each with its ``swell`` (m,), in `squeezed`
+    gradients with a border of one. ``view``: numbers of `fit.CameraView` (22,) and the first
+    pixel's place; ``shape``: (k, 2) of the end, down and to the right, and of the sides.
     """
     (camera, corner), (arc, below) = view, shape
     rows, columns, _ = gradients.shape
     flat, moved = gradients.reshape(-1), shifts + _f4(1.5)
     lens, R, T = camera[:10], camera[10:19].reshape(3, 3), camera[19:]
-    result, sums = np.empty((len(shifts), len(teats)), dtype=_f4), np.ones((3, len(shifts)), _f4)
+    sums = np.ones((3, len(shifts)), _f4)
     middle, lower, none = np.empty(3), np.empty(3), np.zeros(3)
     left, right = moved[:, 0].min(), moved[:, 0].max()
     upper, under = moved[:, 1].min(), moved[:, 1].max()
@@ -531,16 +531,16 @@ def across(
         for j in range(len(shifts)):
             better, other = max(sums[0, j], sums[1, j]), min(sums[0, j], sums[1, j])
             result[j, i] = sums[2, j] * (_f4(0.7) * better + _f4(0.3) * other)
-    return result
 
 
-@_compiled("f4[:,:,::1](f4[:,::1],i8[::1],i8[:,:,::1],f4[:,:,:,::1],b1)")
-def along_shapes(flat: Field, start: Array, off: Array, normals: Field, absolute: bool) -> Field:
-    """Mean strengths (shapes, parts, n) at places ``off`` (shapes, parts, k) from ``start`` (n,) in
-    flat gradients (., 2), along normals (shapes, parts, k, 2).
+@_compiled("void(f4[:,::1],i8[::1],i8[:,:,::1],f4[:,:,:,::1],b1,f4[:,:,::1])")
+def along_shapes(
+    flat: Field, start: Array, off: Array, normals: Field, absolute: bool, result: Field
+) -> None:
+    """Adds mean strengths (shapes, parts, n) at places ``off`` (shapes, parts, k) from ``start``
+    (n,) in flat gradients (., 2), along normals (shapes, parts, k, 2), to zeros.
     """
     shapes, parts, k = off.shape
-    result = np.zeros((shapes, parts, len(start)), dtype=_f4)
     for i in range(shapes):
         for part in range(parts):
             row = result[i, part]
@@ -551,7 +551,6 @@ def along_shapes(flat: Field, start: Array, off: Array, normals: Field, absolute
                     value = flat[index, 0] * x + flat[index, 1] * y
                     row[n] += abs(value) if absolute else value
             row /= _f4(k)
-    return result
 
 
 @_within
@@ -560,19 +559,22 @@ def _known(value: float, instead: float) -> float:
 
 
 @_compiled(
-    "Tuple((f4[:,::1],f4[:,::1],b1[::1]))"
-    "(Tuple((f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8)),f8[::1],f8[::1],UniTuple(i8,2))"
+    "void(Tuple((f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8)),f8[::1],f8[::1],UniTuple(i8,2),"
+    "UniTuple(f4[:,::1],2),b1[::1])"
 )
 def places(
-    lines: tuple[Array, Array, Ids, int, int], corner: Array, offsets: Array, size: tuple[int, int]
-) -> tuple[Field, Field, NDArray[np.bool_]]:
-    """Columns and rows (m * n, s) of samples along ``lines``: middles and normals, which rows of
-    these (m,), of each the first and how many; and which lines (m * n,) are in a picture.
+    lines: tuple[Array, Array, Ids, int, int],
+    corner: Array,
+    offsets: Array,
+    size: tuple[int, int],
+    found: tuple[Field, Field],
+    inside: NDArray[np.bool_],
+) -> None:
+    """Fills columns and rows (m * n, s) of samples along ``lines``: middles and normals, which rows
+    of these (m,), of each the first and how many; and which lines (m * n,) are in a picture.
     """
-    (middles, normals, which, first, n), (rows, columns) = lines, size
+    (middles, normals, which, first, n), (rows, columns), (x, y) = lines, size, found
     m, s = len(which), len(offsets)
-    x, y = np.empty((m * n, s), dtype=_f4), np.empty((m * n, s), dtype=_f4)
-    inside = np.empty(m * n, dtype=np.bool_)
     for j in range(m * n):
         row, column = which[j // n], first + j % n
         middle, normal = middles[row, column], normals[row, column]
@@ -586,10 +588,9 @@ def places(
             and max(x[j, 0], x[j, s - 1]) <= columns - 2
             and max(y[j, 0], y[j, s - 1]) <= rows - 2
         )
-    return x, y, inside
 
 
-@_compiled("f8[:,::1](f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,:,::1],f8,f8)")
+@_compiled("void(f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,:,::1],f8,f8,f8[:,::1])")
 def weights(
     offset: Array,
     sd: Array,
@@ -598,20 +599,19 @@ def weights(
     jacobian: Array,
     scale: float,
     least_clear: float,
-) -> Array:
-    """`fit.weights`, (m, k)."""
+    result: Array,
+) -> None:
+    """`fit.weights`: fills (m, k)."""
     m, k = offset.shape
-    result = np.zeros((m, k))
     for i in range(m):
         for j in range(k):
-            total = offset[i, j]
+            total, result[i, j] = offset[i, j], 0.0
             for p in range(8):
                 total += jacobian[i, j, p]
             if np.isfinite(total) and clarity[i, j] > least_clear:
                 variance = sd[i, j] ** 2 + floor[i, j] ** 2
                 off = offset[i, j] / np.sqrt(variance + (scale * floor[i, j]) ** 2)
                 result[i, j] = 1.0 / (variance * (1 + off**2))
-    return result
 
 
 @_compiled("void(f8[:,::1],f8[:,::1],f8[:,::1],b1[:,::1],i8,i8,f8[::1])")
@@ -653,11 +653,10 @@ def trusted(
                     weight[i, v * n + beside : v * n + beside + third] = 0.0
 
 
-@_compiled("Tuple((f8[:,:,::1],f8[:,::1]))(f8[:,:,::1],f8[:,::1],f8[:,::1])")
-def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array]:
-    """The sums of `fit.information`: matrices (m, 8, 8) and right sides (m, 8)."""
+@_compiled("void(f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1])")
+def squares(jacobian: Array, offset: Array, weight: Array, H: Array, b: Array) -> None:
+    """The sums of `fit.squares`, added to matrices (m, 8, 8) and right sides (m, 8) of zeros."""
     m, k = weight.shape
-    H, b = np.zeros((m, 8, 8)), np.zeros((m, 8))
     weighted = np.empty(8)
     for i in range(m):
         for j in range(k):
@@ -669,7 +668,6 @@ def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array
                     for q in range(8):
                         H[i, p, q] += weighted[p] * row[q]
                     b[i, p] += weighted[p] * offset[i, j]
-    return H, b
 
 
 @_within
@@ -695,7 +693,8 @@ def _solve(A: Array, b: Array, x: Array) -> None:
 
 
 @_compiled(
-    "f8[:,::1](f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,UniTuple(f8[::1],3))"
+    "void(f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,UniTuple(f8[::1],3),"
+    "f8[:,::1])"
 )
 def step(
     teats: Array,
@@ -706,11 +705,12 @@ def step(
     sure: Array,
     damping: float,
     limits: tuple[Array, Array, Array],
-) -> Array:
-    """`fit.step` of teats (m, 8); ``limits``: of the step, and of teats after it."""
+    moved: Array,
+) -> None:
+    """`fit.step`: fills teats (m, 8); ``limits``: of the step, and of teats after it."""
     longest, least, most = limits
-    H, b = squares(jacobian, offset, weight)
-    moved, change = np.empty_like(teats), np.empty(8)
+    H, b, change = np.zeros((len(teats), 8, 8)), np.zeros((len(teats), 8)), np.empty(8)
+    squares(jacobian, offset, weight, H, b)
     for i in range(len(teats)):
         A = H[i]
         for p in range(8):
@@ -724,4 +724,3 @@ def step(
         for p in range(8):
             value = teats[i, p] + _known(change[p] / too_long, 0.0)
             moved[i, p] = min(max(value, least[p]), most[p])
-    return moved

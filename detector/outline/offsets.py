@@ -10,11 +10,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from detector import outline as package
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import CameraView, OutlineEdges, look, usual
+from detector.outline.fit import CameraView, OutlineEdges, look, squares, usual
 from detector.outline.model import END
 from detector.outline.prior import Prior
 
@@ -38,7 +37,7 @@ def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
     off, down = np.where(weight > 0, seen.offset_px, 0.0), np.zeros_like(weight)
     down[:, at] = np.where(weight[:, at] > 0, seen.normals[:, at, 1], 0.0)
     # what moving the teat explains of rows and of edges
-    (H, b), (_, a) = (package.kernels.squares(seen.jacobian, each, weight) for each in (down, off))
+    (H, b), (_, a) = (squares(seen.jacobian, each, weight) for each in (down, off))
     explained = np.linalg.solve(H + np.diag(usual(prior)[1]), b[..., None])[..., 0]
     weight_of_rows = (weight * down**2).sum(axis=1) - (b * explained).sum(axis=1)
     score = (weight * down * off).sum(axis=1) - (a * explained).sum(axis=1)

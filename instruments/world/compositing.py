@@ -100,11 +100,15 @@ def _stacked(
     pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
 ) -> tuple[Ints, Ints, NDArray[Any], Floats]:
     """Surfaces in pixels (m,): those alone there; the nearest of others, light, share seen past."""
-    alone, order = package.kernels.by_pixel(pixel, depth)
+    found = np.empty(len(pixel), dtype=np.intp)
+    lone = package.kernels.by_pixel(pixel, depth, found)
+    alone, order = found[:lone], found[lone:]
     kind = np.result_type(value, np.float64)  # complex as two numbers
     pair = value.astype(kind).view(np.float64).reshape(len(value), -1)
-    nearest, light, behind = package.kernels.stacked(order, pixel, share, owner, pair)
-    return alone, nearest, light.view(kind)[:, 0], behind
+    nearest, behind = np.empty(len(order), dtype=np.intp), np.empty(len(order))
+    light = np.zeros((len(order), pair.shape[1]))
+    n = package.kernels.stacked(order, pixel, share, owner, pair, nearest, light, behind)
+    return alone, nearest[:n], light[:n].view(kind)[:, 0], behind[:n]
 
 
 def merged(layer: Layer) -> Layer:
@@ -161,7 +165,8 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
         which = np.flatnonzero((size_px > above) & (size_px <= up_to))
         if len(which) == 0:
             continue
-        clouds = package.kernels.rims(table[which], *_circle(points))
+        clouds = np.empty((len(which), 2 * points, 2))
+        package.kernels.rims(table[which], *_circle(points), clouds)
         coarse = clouds.astype(np.float32, order="C")
         for number, cloud, rough in zip(which.tolist(), clouds, coarse, strict=True):
             corners[number] = cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
@@ -187,7 +192,11 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     """Each solid's polygon (m, 2) in the ideal plane."""
     counts, window = np.array([len(outline) for outline in corners]), _plane_window(camera)
-    counts, plane = package.kernels.pieces(counts, np.concatenate(corners), camera.fc, window)
+    joined = np.concatenate(corners)
+    after, parts = np.empty((2, len(joined)), dtype=np.intp)
+    plane = np.empty((package.kernels.parted(counts, joined, camera.fc, after, parts), 2))
+    package.kernels.pieces(joined, after, parts, window, plane)
+    counts = np.add.reduceat(parts, np.cumsum(counts) - counts)
     # From here a pixel reaches from its number to the next one.
     pixels, size = camera.pixels_from_plane(plane) + 0.5, (camera.width_px, camera.height_px)
     points = np.minimum(np.maximum(pixels, -MARGIN_PX), np.add(size, MARGIN_PX))
@@ -195,8 +204,11 @@ def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     left, top = np.floor(np.minimum.reduceat(points, runs)).astype(np.intp).T
     right, bottom = np.floor(np.maximum.reduceat(points, runs)).astype(np.intp).T
     windows = np.column_stack([left, right + 2, top, bottom + 1])
-    (solid, row, column), share = package.kernels.areas(counts, windows, points, *size)
-    return Cover(solid, row, column, share)
+    cells = int(((right + 2 - left) * (bottom + 1 - top)).sum())
+    places, share = np.empty((3, cells), dtype=np.intp), np.empty(cells)
+    seen = package.kernels.areas(counts, windows, points, *size, places, share)
+    solid, row, column = places[:, :seen].copy()
+    return Cover(solid, row, column, share[:seen].copy())
 
 
 @lru_cache

@@ -2,6 +2,9 @@
 
 They are written out in numpy's order of operations, and without fast mathematics: a picture is the
 same to the bit wherever it is drawn. What is kept is as old as this file, so one file has all.
+
+A loop fills arrays and gives back a number at most. A Ctrl-C that comes amid a loop is raised where
+an array is handed back, in numba's own code, which then crashes.
 """
 
 from __future__ import annotations
@@ -92,14 +95,15 @@ def undistort(
     return False
 
 
-@_compiled("Tuple((i8[::1], f8[:, ::1]))(i8[::1], f8[:, ::1], f8[::1], f8[:, ::1])")
-def pieces(counts: Ints, corners: Floats, fc: Floats, window: Floats) -> tuple[Ints, Floats]:
-    """Closed outlines of ``counts`` corners (n, 2) in the ideal plane, in pieces of STEP_PX, within
-    a ``window`` (2, 2): how many pieces of each, and where these begin, (m, 2).
+@_compiled("i8(i8[::1], f8[:, ::1], f8[::1], i8[::1], i8[::1])")
+def parted(counts: Ints, corners: Floats, fc: Floats, after: Ints, parts: Ints) -> int:
+    """Closed outlines of ``counts`` corners (n, 2) in the ideal plane: fills which corner comes
+    ``after`` each, and in how many pieces of STEP_PX the way to it is; how many these are.
     """
-    parts, total, first = np.empty(len(corners), np.int64), 0, 0
-    after = np.arange(1, len(corners) + 1)
+    total, first = 0, 0
     for i in range(len(counts)):
+        for j in range(first, first + counts[i]):
+            after[j] = j + 1
         after[first + counts[i] - 1] = first
         first += counts[i]
     for j in range(len(corners)):
@@ -107,7 +111,13 @@ def pieces(counts: Ints, corners: Floats, fc: Floats, window: Floats) -> tuple[I
         y = (corners[after[j], 1] - corners[j, 1]) * fc[1]
         parts[j] = int(max(np.ceil(np.sqrt(x * x + y * y) / STEP_PX), 1.0))
         total += parts[j]
-    points, at = np.empty((total, 2)), 0
+    return total
+
+
+@_compiled("void(f8[:, ::1], i8[::1], i8[::1], f8[:, ::1], f8[:, ::1])")
+def pieces(corners: Floats, after: Ints, parts: Ints, window: Floats, points: Floats) -> None:
+    """Fills where the pieces of `parted` outlines begin, (m, 2), within a ``window`` (2, 2)."""
+    at = 0
     for j in range(len(corners)):
         for axis in range(2):
             step = (corners[after[j], axis] - corners[j, axis]) / parts[j]
@@ -115,12 +125,6 @@ def pieces(counts: Ints, corners: Floats, fc: Floats, window: Floats) -> tuple[I
                 place = max(corners[j, axis] + part * step, window[0, axis])
                 points[at + part, axis] = min(place, window[1, axis])
         at += parts[j]
-    each, first = np.zeros(len(counts), np.int64), 0
-    for i in range(len(counts)):
-        for j in range(first, first + counts[i]):
-            each[i] += parts[j]
-        first += counts[i]
-    return each, points
 
 
 @_within
@@ -162,15 +166,15 @@ def _edge(
         here_x, here_y = there_x, there_y
 
 
-@_compiled("Tuple((i8[:, ::1], f8[::1]))(i8[::1], i8[:, ::1], f8[:, ::1], i8, i8)")
-def areas(counts: Ints, windows: Ints, points: Floats, wide: int, tall: int) -> tuple[Ints, Floats]:
-    """Which share of each pixel closed outlines of ``counts`` points (n, 2) cover: (3, m) outline,
-    row, column, and shares (m,), by outline. Signed areas in ``windows`` (k, 4), left, right, top
-    and bottom of each; their rows sum to zero.
+@_compiled("i8(i8[::1], i8[:, ::1], f8[:, ::1], i8, i8, i8[:, ::1], f8[::1])")
+def areas(
+    counts: Ints, windows: Ints, points: Floats, wide: int, tall: int, places: Ints, shares: Floats
+) -> int:
+    """Which share of each pixel closed outlines of ``counts`` points (n, 2) cover: fills (3, m)
+    outline, row, column, and shares (m,), by outline, and says how many. Signed areas in
+    ``windows`` (k, 4), left, right, top and bottom of each; their rows sum to zero.
     """
-    cells = 0
-    for left, right, top, bottom in windows:
-        cells += (right - left) * (bottom - top)
+    cells = len(shares)  # at most
     change, spill = np.zeros(cells + 1), np.zeros(cells + 1)
     cells, j = 0, 0
     for i in range(len(counts)):
@@ -183,7 +187,6 @@ def areas(counts: Ints, windows: Ints, points: Floats, wide: int, tall: int) -> 
             _edge(j, start, end, base, right - left, change, spill)
             j += 1
         cells += (right - left) * (bottom - top)
-    places, shares = np.empty((3, cells), np.int64), np.empty(cells)
     cell, at, total = 0, 0, 0.0
     for i in range(len(counts)):
         left, right, top, bottom = windows[i]
@@ -196,15 +199,14 @@ def areas(counts: Ints, windows: Ints, points: Floats, wide: int, tall: int) -> 
                     places[0, at], places[1, at], places[2, at] = i, row, column
                     shares[at] = share
                     at += 1
-    return places[:, :at].copy(), shares[:at].copy()
+    return at
 
 
-@_compiled("f8[:, :, ::1](f8[:, ::1], f8[:, ::1], f8)")
-def rims(solids: Floats, circle: Floats, stretch: float) -> Floats:
-    """Outlines of both ends of solids (k, 13), a, b, axis, radii, and whether each is flat, in the
-    ideal plane, (k, 2 m, 2): a disc's rim, or a ball's limb, a ``circle`` (m, 2) stretched.
+@_compiled("void(f8[:, ::1], f8[:, ::1], f8, f8[:, :, ::1])")
+def rims(solids: Floats, circle: Floats, stretch: float, seen: Floats) -> None:
+    """Fills outlines of both ends of solids (k, 13), a, b, axis, radii, and whether each is flat,
+    in the ideal plane, (k, 2 m, 2): a disc's rim, or a ball's limb, a ``circle`` (m, 2) stretched.
     """
-    seen = np.empty((len(solids), 2 * len(circle), 2))
     for i in range(len(solids)):
         for end in range(2):
             centre = (solids[i, 3 * end], solids[i, 3 * end + 1], solids[i, 3 * end + 2])
@@ -227,7 +229,6 @@ def rims(solids: Floats, circle: Floats, stretch: float) -> Floats:
                 point = _plus(centre, radius, way)
                 seen[i, end * len(circle) + j, 0] = point[0] / point[2]
                 seen[i, end * len(circle) + j, 1] = point[1] / point[2]
-    return seen
 
 
 @_compiled("void(f8[:, ::1], i8[:], f8[::1], f8[::1], f8[::1], f8[:, ::1], b1[::1])")
@@ -277,9 +278,11 @@ def meet(
         normal[0, i], normal[1, i], normal[2, i] = _unit(outward)
 
 
-@_compiled("Tuple((i8[::1], i8[::1]))(i8[::1], f8[::1])")
-def by_pixel(pixel: Ints, depth: Floats) -> tuple[Ints, Ints]:
-    """Which surfaces (m,) are alone in their pixel; and the others by pixel, the nearest first."""
+@_compiled("i8(i8[::1], f8[::1], i8[::1])")
+def by_pixel(pixel: Ints, depth: Floats, found: Ints) -> int:
+    """Fills which surfaces (m,) are alone in their pixel, and says how many; then the others by
+    pixel, the nearest first.
+    """
     low = high = pixel[0]
     for i in range(len(pixel)):
         low, high = min(low, pixel[i]), max(high, pixel[i])
@@ -290,29 +293,34 @@ def by_pixel(pixel: Ints, depth: Floats) -> tuple[Ints, Ints]:
     for cell in range(len(often)):
         if often[cell] > 1:
             start[cell], shared = shared, shared + often[cell]
-    alone, at, order = np.empty(len(pixel) - shared, np.int64), 0, np.empty(shared, np.int64)
+    at, order = 0, found[len(pixel) - shared :]
     for i in range(len(pixel)):
         cell = pixel[i] - low
         if often[cell] == 1:
-            alone[at], at = i, at + 1
+            found[at], at = i, at + 1
             continue
         place = start[cell] + filled[cell]
         filled[cell] += 1
         while place > start[cell] and depth[order[place - 1]] > depth[i]:
             order[place], place = order[place - 1], place - 1
         order[place] = i
-    return alone, order
+    return at
 
 
-@_compiled("Tuple((i8[::1], f8[:, ::1], f8[::1]))(i8[::1], i8[::1], f8[::1], i8[::1], f8[:, ::1])")
+@_compiled("i8(i8[::1], i8[::1], f8[::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[::1])")
 def stacked(
-    order: Ints, pixel: Ints, share: Floats, owner: Ints, value: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Surfaces (m,) in pixels, in an ``order`` by pixel, then depth, with values (m, c): the
-    nearest of each pixel, its light (n, c), the share seen past all (n,).
+    order: Ints,
+    pixel: Ints,
+    share: Floats,
+    owner: Ints,
+    value: Floats,
+    nearest: Ints,
+    light: Floats,
+    behind: Floats,
+) -> int:
+    """Surfaces (m,) in pixels, in an ``order`` by pixel, then depth, with values (m, c): fills the
+    nearest of each pixel, its light (n, c), from zeros, and the share seen past all (n,); how many.
     """
-    nearest, behind = np.empty(len(order), np.int64), np.empty(len(order))
-    light = np.zeros((len(order), value.shape[1]))
     at, widest, past = -1, 0.0, 1.0
     for i in range(len(order)):
         now = order[i]
@@ -326,7 +334,7 @@ def stacked(
             light[at, channel] += past * (after - widest) * value[now, channel]
         widest = after
         behind[at] = past * (1.0 - widest)
-    return nearest[: at + 1].copy(), light[: at + 1].copy(), behind[: at + 1].copy()
+    return at + 1
 
 
 @_compiled("void(f4[:, ::1], f4[:, ::1], f4[::1], f4, f4[::1])")

@@ -1,12 +1,18 @@
-"""What compiles the hot loops, where nothing can be kept on disk."""
+"""What compiles the hot loops, where nothing can be kept on disk; and that Ctrl-C ends none of them
+badly.
+"""
 
 from __future__ import annotations
+
+from types import ModuleType
 
 import cv2
 import numpy as np
 import pytest
 from numba.core.caching import CompileResultCacheImpl
+from numba.core.dispatcher import Dispatcher
 
+import instruments.world.kernels
 from detector.outline import kernels
 
 
@@ -27,9 +33,25 @@ def test_gradients_are_those_of_opencv_up_to_the_rim(shape: tuple[int, int]) -> 
     x = cv2.Sobel(picture, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     y = cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
     length = np.hypot(x, y)
-    assert np.allclose(kernels.steepness(picture, 3), length[::3, ::3], rtol=1e-6)
-    found = kernels.squeezed(picture, np.float32(12.0), 5)
+    steep = np.empty_like(picture[::3, ::3])
+    kernels.steepness(picture, 3, steep)
+    assert np.allclose(steep, length[::3, ::3], rtol=1e-6)
+    found = np.zeros((shape[0] + 10, shape[1] + 10, 2), dtype=np.float32)
+    kernels.squeezed(picture, np.float32(12.0), 5, found)
     expected = np.stack([x, y], axis=2) / (length + 12.0)[..., None]
     assert np.allclose(found[5:-5, 5:-5], expected, rtol=1e-5, atol=1e-7)
     found[5:-5, 5:-5] = 0.0
     assert not found.any()
+
+
+@pytest.mark.parametrize("module", [kernels, instruments.world.kernels])
+def test_no_loop_hands_back_an_array(module: ModuleType) -> None:
+    """A Ctrl-C that comes amid a loop is raised there, in code of numba that does not expect it."""
+    back = [
+        str(made.return_type)
+        for name, loop in vars(module).items()
+        if isinstance(loop, Dispatcher) and not name.startswith("_")  # which loops alone call
+        for made in loop.nopython_signatures
+    ]
+    assert len(back) >= 8
+    assert set(back) <= {"none", "bool", "int64", "float64"}
