@@ -85,15 +85,18 @@ class Echo(BaseDevice):
     handle_message = lambda self, message: message
 with socket.create_server(("127.0.0.1", 0)) as free:
     port = free.getsockname()[1]
-def run(ready):
+def run():
     wire = {"type": "tcp", "url": ["127.0.0.1", port]}
     server = Server(devices=[dict(name="e", package="__main__", transports=[wire], **{"class": "Echo"})])
     server.start()
-    ready.set()
     server.serve_forever()
-ready = threading.Event()
-thread(run, ready)
-ready.wait()
+thread(run)
+while True:  # it listens some time after its start
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+        break
+    except ConnectionRefusedError:
+        time.sleep(0.01)
 serve(port)
 """
 SET_POINT = bytes.fromhex("0001 0000 0006 01 03 0002 0002")  # by Modbus TCP
