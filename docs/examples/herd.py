@@ -1,5 +1,5 @@
 """What a cow's history is worth: cows that come several times, with teats that a post hides now
-and then. Their ends are predicted from earlier visits, and told against the last visit alone.
+and then. Their ends are predicted from earlier visits, and compared with the last visit alone.
 
     python docs/examples/herd.py 10 12 herd.csv
 

@@ -5,6 +5,7 @@ badly.
 from __future__ import annotations
 
 from types import ModuleType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,11 +21,12 @@ def half(value: float) -> float:
     return value / 2.0
 
 
+@pytest.mark.parametrize("module", [kernels, instruments.world.kernels])
 def test_without_a_folder_to_write_loops_are_compiled_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, module: Any
 ) -> None:
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
-    assert kernels._compiled("f8(f8)")(half)(3.0) == 1.5
+    assert module._compiled("f8(f8)")(half)(3.0) == 1.5
 
 
 @pytest.mark.parametrize("shape", [(40, 57), (41, 16), (2, 2)])

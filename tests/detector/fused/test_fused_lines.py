@@ -36,6 +36,7 @@ def test_a_line_behind_a_teat_does_not_move_its_depth(k: int) -> None:
     assert max(float(np.linalg.norm(found[i] - ends[j])) for i, j in result.pairs) < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside_mm", [0.5, 1.0, 1.5])
 def test_an_end_that_a_line_may_have_moved_is_named(beside_mm: float) -> None:
     """One dark rod 216 mm behind one teat: ends are 6.5, 11.4 and 17 mm off."""

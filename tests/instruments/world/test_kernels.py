@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numba.core.caching import CompileResultCacheImpl
 
 from instruments.world import kernels
 from instruments.world.compositing import cover, cover_outlines
@@ -30,17 +29,6 @@ PARTS = 200  # of a solid's axis
 PLAIN = CameraModel(
     "plain", WIDE, TALL, np.array([1.0, 1.0]), np.zeros(2), 0.0, np.zeros(5), np.eye(3), np.zeros(3)
 )
-
-
-def half(value: float) -> float:
-    return value / 2.0
-
-
-def test_without_a_folder_to_write_loops_are_compiled_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
-    assert kernels._compiled("f8(f8)")(half)(3.0) == 1.5
 
 
 def clipped(polygon: Floats, low: Floats, high: Floats) -> float:
@@ -125,6 +113,7 @@ def within(hull: Hull, points: Floats) -> Floats:
     return best
 
 
+@pytest.mark.slow
 @given(seed=SEEDS)
 def test_a_ray_that_hits_ends_on_the_surface_and_nowhere_before_it_inside(seed: int) -> None:
     rng = np.random.default_rng(seed)
