@@ -12,6 +12,7 @@ an array is handed back, in numba's own code, which then crashes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 import numba
@@ -32,10 +33,16 @@ def _compiled(signature: str) -> Callable[[Loop], Loop]:
     how: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
     def compiled(loop: Loop) -> Loop:
-        try:
-            return cast("Loop", numba.njit(signature, cache=True, **how)(loop))
-        except RuntimeError:  # no folder of these may be written: each process compiles anew
-            return cast("Loop", numba.njit(signature, **how)(loop))
+        for anew in (False, True):  # where what is kept is damaged, as by a power cut
+            with suppress(Exception):  # a damaged pickle raises anything; others come again
+                kept = numba.njit(cache=True, **how)(loop)
+                if anew:
+                    kept.recompile()  # empties the index of what is kept
+                kept.compile(signature)
+                kept.disable_compile()
+                return cast("Loop", kept)
+        # No folder for it may be written, or the disk is full: each process compiles anew.
+        return cast("Loop", numba.njit(signature, **how)(loop))
 
     return compiled
 

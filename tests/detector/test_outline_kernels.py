@@ -4,13 +4,16 @@ badly.
 
 from __future__ import annotations
 
+import errno
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import cv2
+import numba
 import numpy as np
 import pytest
-from numba.core.caching import CompileResultCacheImpl
+from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 import instruments.world.kernels
@@ -26,6 +29,36 @@ def test_without_a_folder_to_write_loops_are_compiled_all_the_same(
     monkeypatch: pytest.MonkeyPatch, module: Any
 ) -> None:
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    assert module._compiled("f8(f8)")(half)(3.0) == 1.5
+
+
+@pytest.mark.parametrize("module", [kernels, instruments.world.kernels])
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.slow
+def test_what_is_kept_may_be_damaged_and_is_then_kept_anew(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, module: Any, ending: str
+) -> None:
+    """As a power cut leaves it: the file is there, and empty."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    module._compiled("f8(f8)")(half)
+    [kept] = tmp_path.rglob(f"*.{ending}")
+    kept.write_bytes(b"")
+    assert module._compiled("f8(f8)")(half)(3.0) == 1.5
+    again = module._compiled("f8(f8)")(half)
+    assert again(3.0) == 1.5
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", [kernels, instruments.world.kernels])
+def test_on_a_full_disk_loops_are_compiled_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, module: Any
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
     assert module._compiled("f8(f8)")(half)(3.0) == 1.5
 
 
