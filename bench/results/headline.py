@@ -114,11 +114,15 @@ def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
         return _each(run, judgements)
     verdict, why, then = _one(run, judgements)
     silent = [message for name in run.detectors for message in _silence(run, name)]
+    return "\n".join([*silent, why]), _first_of_silence(silent, verdict, then)
+
+
+def _first_of_silence(silent: Sequence[str], verdict: Verdict, then: str) -> str:
+    """What to do next, where a detector may have been without answers."""
     if not silent:
-        return why, then
+        return then
     first = "First find out why the detector did not answer: its reasons stand with its trials."
-    then = then if verdict is Verdict.NOT_MET else "Then run it again."
-    return "\n".join([*silent, why]), f"{first} {then}"
+    return f"{first} {then if verdict is Verdict.NOT_MET else 'Then run it again.'}"
 
 
 def _each(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
@@ -130,9 +134,11 @@ def _each(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
         short = [d for d in one.decisions if d.verdict in same]
         full = next((d for d in short if d.missing is not None), None)
         which = "; ".join(missing_text(d, brief=d is not full) for d in short)
-        why += _silence(run, one.detector)
+        silent = [*_silence(run, one.detector)]
+        why += silent
         if verdict is not Verdict.MET:
             why.append(f"{one.detector}: {verdict}: {which}.")
+        action = _first_of_silence(silent, verdict, action)
         then.setdefault(action, []).append(one.detector)
     why = why or ["Each detector meets all requirements."]
     return "\n".join(why), "\n".join(f"{', '.join(who)}: {what}" for what, who in then.items())

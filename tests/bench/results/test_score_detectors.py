@@ -190,6 +190,12 @@ def test_a_detector_that_crashes_is_no_bad_detector(
     assert last in note
     assert "First find out why the detector did not answer" in note
     assert "has to become better" not in note
+    beside = said(
+        1, f"{SCORE} --detector {{}} --detector fused", recording, tmp_path / "two", command
+    )
+    both = " ".join(beside.out.split())
+    assert "Next: exec-crasher: First find out why the detector did not answer" in both
+    assert "poses such as these" not in both
     (run,) = runs.iterdir()
     (judgement,) = judge(read_run(run), stored_rules(run))
     assert {decision.verdict for decision in judgement.decisions} == {Verdict.NOT_MEASURED}
