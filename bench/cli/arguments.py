@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import platform
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -197,6 +196,8 @@ def call(given: argparse.Namespace) -> int:
         )
     if getattr(given, "capture", None) is None:
         return work(given) or CODES.met
+    import platform
+
     from instruments import CaptureFile
 
     facts = {

@@ -66,11 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         sys.stdout, sys.stderr = map(sanitizing, streams)
         with installed():
-            top = parser()
             if "_ARGCOMPLETE" in os.environ:
                 import argcomplete
 
-                argcomplete.autocomplete(top, always_complete_options=False)
+                argcomplete.autocomplete(parser(), always_complete_options=False)
             words = sys.argv[1:] if arguments is None else arguments
             if odd := next(filter(ODD_BYTES.search, words), None):
                 shown = ascii(odd)
@@ -80,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if gone := next((one for one in asked if one in commands.table("removed")), None):
                 instead = commands.table("removed")[gone]
                 return complain(f"'{gone}' went: {instead}", CODES.wrong_use)
-            given = top.parse_args(arguments, given)
+            given = parser(_named(words)).parse_args(arguments, given)
             if (limit := _address_limit()) < LEAST_BYTES:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
@@ -304,9 +303,25 @@ def _exit_codes(name: str) -> str:
     return "\n".join(lines)
 
 
+def _named(words: Sequence[str]) -> frozenset[str]:
+    """Commands and groups that ``words`` may name, by a name of earlier releases too."""
+    first = {name.split()[0] for name in commands.COMMANDS}
+    return frozenset(one for one in first if {one, *commands.ONCE.get(one, ())} & set(words))
+
+
 @cache
-def parser() -> argparse.ArgumentParser:
-    """The whole command line; made once."""
+def parser(named: frozenset[str] | None = None) -> argparse.ArgumentParser:
+    """The whole command line; made once. Of other commands and groups than ``named`` only what the
+    help of all has, for it takes longer to make them than to answer.
+    """
+    unnamed = Parser()
+
+    def made(prog: str, **how: Any) -> Parser:
+        return unnamed if others(prog.split()[1]) else Parser(prog=prog, **how)
+
+    def others(first: str) -> bool:
+        return named is not None and first not in named
+
     top = TopParser(
         prog="teatbench",
         description="A hardware-in-the-loop test bench for teat detectors.",
@@ -323,11 +338,11 @@ def parser() -> argparse.ArgumentParser:
         if group not in parsers:
             add(group, groups[group], example)
         if group not in subparsers:
-            subparsers[group] = parsers[group].add_subparsers(
+            subparsers[group] = parsers[group].add_subparsers(  # type: ignore[call-overload]
                 title="commands",
                 metavar="COMMAND",
                 required=group in ("", *groups),
-                parser_class=Parser,  # only the first has tasks
+                parser_class=made,  # argparse only calls it
             )
         parsers[name] = subparsers[group].add_parser(
             own,
@@ -340,10 +355,14 @@ def parser() -> argparse.ArgumentParser:
         return parsers[name]
 
     for name, (what, example, *arguments) in commands.COMMANDS.items():
+        first, last = name.split()[0], name.split()[-1]
+        if others(first):
+            if first not in parsers:
+                parsers[first] = add(first, groups.get(first, what), example)
+            continue
         parser = add(name, what, example)
         for argument in arguments:
             argument(parser)
-        first, last = name.split()[0], name.split()[-1]
         work = commands.WORK.get(name) or commands.WORK.get(f"{first} *", first)
         module, _, own = work.partition(":")
         done, left = (module, own or last), commands.interrupted(name)

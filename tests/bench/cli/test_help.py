@@ -10,6 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from argparse import ArgumentParser
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 from argcomplete.shell_integration import shellcode
 
 from bench.cli.commands import COMMANDS, exit_codes, interrupted, table
-from bench.cli.main import main, parser
+from bench.cli.main import _named, main, parser
 from bench.cli.manual import topics
 from tests.bench.commands import Said
 from tests.conftest import ROOT
@@ -46,6 +47,20 @@ def test_a_commands_help_has_an_example_its_exit_codes_and_what_ctrl_c_leaves(
     monkeypatch.setattr("bench.cli.main.call", lambda _: signal.raise_signal(signal.SIGINT))
     left = said(3, "{}", shlex.split(example)).err
     assert left == f"teatbench: interrupted: {interrupted(name)}.\n"
+
+
+def test_only_what_the_words_name_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+
+    def add(of: ArgumentParser, *_: object, **_how: object) -> None:
+        made.append(of.prog)
+
+    monkeypatch.setattr(ArgumentParser, "add_argument", add)
+    parser.__wrapped__(_named(["store", "export", "runs/1"]))
+    assert {prog.split()[1] for prog in made if prog.count(" ")} == {"store"}
+    # which takes the words of an earlier release too
+    assert _named(["tell", "runs/1", "skip"]) == {"control"}
+    assert _named(["--version"]) == frozenset()
 
 
 def test_each_ending_is_of_a_command_and_in_one_row() -> None:
