@@ -172,6 +172,8 @@ def call(command: Sequence[str], folder: Path | None = None) -> int:
     answer, and its exit code is ours.
     """
     environment = {**os.environ, "PYTHONUTF8": "1"}
+    # .venv has no byte code yet: without it each start compiles every module again
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     with subprocess.Popen(command, cwd=folder, env=environment) as child:
         while True:
             try:
