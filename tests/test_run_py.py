@@ -103,6 +103,13 @@ def test_demo_gives_0_when_the_bench_did_its_work(
     assert run_py.main(["demo"]) == expected
 
 
+def test_byte_code_is_kept_even_where_python_is_told_to_keep_none(
+    run_py: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    assert run_py.call([sys.executable, "-c", "import sys; sys.exit(sys.dont_write_bytecode)"]) == 0
+
+
 @pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
 @pytest.mark.parametrize(
     ("given", "called"),
