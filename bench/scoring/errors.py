@@ -14,7 +14,7 @@ from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import bdtr, nctdtrit, ndtri
+import scipy
 
 from bench.scoring.rates import zero_failure_n
 
@@ -151,7 +151,7 @@ def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
         raise ValueError(f"tolerance factor: n = {n}; a spread needs at least 2 values")
     zero_failure_n(rate, confidence)  # refuses a rate or a confidence outside 0 to 1
     root = float(np.sqrt(n))
-    return float(nctdtrit(n - 1, ndtri(rate) * root, confidence)) / root
+    return float(scipy.special.nctdtrit(n - 1, scipy.special.ndtri(rate) * root, confidence)) / root
 
 
 def quantile_bound(values: npt.ArrayLike, rate: float, confidence: float = 0.95) -> float | None:
@@ -163,6 +163,6 @@ def quantile_bound(values: npt.ArrayLike, rate: float, confidence: float = 0.95)
     n = len(ordered)
     zero_failure_n(rate, confidence)
     # P(at most k of n values lie below the quantile), k = 0 to n
-    at_most = bdtr(np.arange(n + 1), n, rate)
+    at_most = scipy.special.bdtr(np.arange(n + 1), n, rate)
     upper = int(np.searchsorted(at_most, confidence))
     return float(ordered[upper]) if upper < n else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import lru_cache
 from math import isfinite, sqrt
 
-from scipy.special import chndtr, chndtrinc, ndtr, ndtri
+import scipy
 
 from bench.scoring.rates import crossing
 
@@ -22,7 +22,7 @@ def guard_band_mm(u_mm: float) -> float:
     """w = 1.645 u."""
     if not (isfinite(u_mm) and u_mm >= 0.0):
         raise ValueError(f"uncertainty of the truth: {u_mm} mm must be finite and not negative")
-    return float(ndtri(ACCEPTED)) * u_mm
+    return float(scipy.special.ndtri(ACCEPTED)) * u_mm
 
 
 def axis_acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
@@ -46,9 +46,9 @@ def acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
     if u_mm < FLAT * limit_mm:
         return limit_mm - band
     squared = (limit_mm / u_mm) ** 2
-    if chndtr(squared, 3, 0.0) <= ACCEPTED:
+    if scipy.special.chndtr(squared, 3, 0.0) <= ACCEPTED:
         return None
-    return u_mm * sqrt(float(chndtrinc(squared, 3, ACCEPTED)))
+    return u_mm * sqrt(float(scipy.special.chndtrinc(squared, 3, ACCEPTED)))
 
 
 @lru_cache(maxsize=256)
@@ -69,8 +69,11 @@ def leak(seen_mm: float, limit_mm: float, u_mm: float) -> float:
     if u_mm == 0.0:
         return 0.0 if seen_mm <= limit_mm else 1.0
     if u_mm < FLAT * limit_mm:
-        return float(ndtr((seen_mm - limit_mm) / u_mm) - ndtr((-seen_mm - limit_mm) / u_mm))
-    return float(chndtr((seen_mm / u_mm) ** 2, 3, (limit_mm / u_mm) ** 2))
+        return float(
+            scipy.special.ndtr((seen_mm - limit_mm) / u_mm)
+            - scipy.special.ndtr((-seen_mm - limit_mm) / u_mm)
+        )
+    return float(scipy.special.chndtr((seen_mm / u_mm) ** 2, 3, (limit_mm / u_mm) ** 2))
 
 
 @lru_cache(maxsize=256)

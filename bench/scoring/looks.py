@@ -24,7 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-from scipy.special import bdtr, bdtrc
+import scipy
 
 from bench.scoring.rates import Rate, exact_percent, fewest, zero_failure_n
 from bench.scoring.sample_size import failures_allowed
@@ -155,7 +155,7 @@ def spent_on(poses: int, required: float, confidence: float) -> tuple[float, flo
     """The chance that a first look accepts, and that it refuses, at the rate `required`."""
     bad = 1.0 - required
     allowed = failures_allowed(poses, required, confidence)
-    accepts = 0.0 if allowed is None else float(bdtr(allowed, poses, bad))
+    accepts = 0.0 if allowed is None else float(scipy.special.bdtr(allowed, poses, bad))
 
     def refuses(failures: int) -> bool:
         bound = Rate(max(poses - failures, 0), poses).upper_bound(confidence)
@@ -163,7 +163,7 @@ def spent_on(poses: int, required: float, confidence: float) -> tuple[float, flo
 
     if not poses or not refuses(poses):
         return accepts, 0.0
-    return accepts, float(bdtrc(fewest(refuses, 0) - 1, poses, bad))
+    return accepts, float(scipy.special.bdtrc(fewest(refuses, 0) - 1, poses, bad))
 
 
 def allowed_leak(test: RateTest) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from math import floor, sqrt
 
 import numpy as np
-from scipy.special import bdtr, bdtrc, gammaincinv, ndtr, stdtrit
+import scipy
 
 from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.rates import (
@@ -63,7 +63,7 @@ def shown_error_mm(
 def power_of_rate(trials: int, true_rate: float, rate: float, confidence: float = 0.95) -> float:
     """The chance that a detector of `true_rate` shows `rate` in so many poses."""
     allowed = failures_allowed(trials, rate, confidence)
-    return 0.0 if allowed is None else float(bdtr(allowed, trials, 1.0 - true_rate))
+    return 0.0 if allowed is None else float(scipy.special.bdtr(allowed, trials, 1.0 - true_rate))
 
 
 def discordant_needed(alpha: float = 0.05) -> int:
@@ -92,8 +92,10 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
     chance, share = binom.pmf(discordant, trials, lost + won), lost / (lost + won)
     # the largest smaller count that is significant; -1 for none
     at = binom.ppf(alpha / 2.0, discordant, 0.5).astype(np.int64)
-    critical = np.where(2.0 * bdtr(at, discordant, 0.5) < alpha, at, at - 1)
-    tails = bdtr(critical, discordant, share) + bdtrc(discordant - critical - 1, discordant, share)
+    critical = np.where(2.0 * scipy.special.bdtr(at, discordant, 0.5) < alpha, at, at - 1)
+    tails = scipy.special.bdtr(critical, discordant, share) + scipy.special.bdtrc(
+        discordant - critical - 1, discordant, share
+    )
     return float(min(1.0, np.dot(chance, np.where(critical >= 0, tails, 0.0))))
 
 
@@ -116,13 +118,19 @@ def detectable_shift(
     _positive_sd(sd)
     if poses < 2:
         return None
-    edge, freedom = float(stdtrit(poses - 1, 1.0 - alpha / 2.0)), poses - 1
+    edge, freedom = float(scipy.special.stdtrit(poses - 1, 1.0 - alpha / 2.0)), poses - 1
     # P(|T| > edge) is the mean of a normal chance over the sample's own standard deviation
     # (Gauss-Legendre over its quantiles)
     nodes, weights = np.polynomial.legendre.leggauss(256)
-    spread = edge * np.sqrt(gammaincinv(freedom / 2.0, (nodes + 1.0) / 2.0) * 2.0 / freedom)
+    spread = edge * np.sqrt(
+        scipy.special.gammaincinv(freedom / 2.0, (nodes + 1.0) / 2.0) * 2.0 / freedom
+    )
     noncentrality = crossing(
-        lambda d: float(weights @ (ndtr(d - spread) + ndtr(-d - spread))) / 2.0 - power,
+        lambda d: (
+            float(weights @ (scipy.special.ndtr(d - spread) + scipy.special.ndtr(-d - spread)))
+            / 2.0
+            - power
+        ),
         0.0,
         20.0 + 10.0 * edge,
     )

@@ -19,12 +19,12 @@ from __future__ import annotations
 from math import exp, log
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
 
 from bench.scoring.rates import check_open, crossing
 
-BETS = expit(np.arange(-14.0, 10.0))
+BETS = 1.0 / (1.0 + np.exp(np.arange(14.0, -10.0, -1.0)))
 LEAST_LOGIT = -60.0
 Reals = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def least_rate(hits: int, trials: int, chance: float) -> float:
     low = high
     while above(low) < 0.0 and low > LEAST_LOGIT:
         high, low, step = low, low - step, 2.0 * step
-    return 0.0 if low <= LEAST_LOGIT else float(expit(crossing(above, low, high)))
+    return 0.0 if low <= LEAST_LOGIT else float(scipy.special.expit(crossing(above, low, high)))
 
 
 def least_mean(values: ArrayLike, counts: ArrayLike, chance: float) -> float:
