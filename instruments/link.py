@@ -223,7 +223,7 @@ class Link:
 
     def _broke(self, at: str, error: OSError, asked: bytes | None = None) -> LinkError:
         self._disconnected(str(error))
-        what = f"the link broke while {at}: {error}"
+        what = f"the link broke while {at}: {error.strerror or error}"
         return LinkError(self.who, what, asked=asked, hint="Check cable and power.")
 
     def _refuse_closed(self) -> None:
@@ -267,7 +267,7 @@ def _socket(url: str, who: str, connect_timeout_s: float, clock: Clock) -> HostP
         return _TcpPort(host, port, connect_timeout_s)
     except OSError as error:
         hint = "Is the device on, and the address right?"
-        raise LinkError(who, f"nothing takes the connection: {error}", hint=hint) from error
+        raise LinkError(who, f"nothing takes the connection: {error.strerror or error}", hint=hint) from error
 
 
 class _TcpPort:

@@ -119,8 +119,8 @@ def _written(one: Comparison) -> Comparison:
             if one.look:
                 Ledger(side.run.folder).add_look(one.look.claim, one.look.data)
     except OSError as error:
-        why = f"the look can't be written beside the campaign ({error}): it would be free"
-        return unwritten(one, why)
+        why = f"the look can't be written beside the campaign ({error.strerror or error})"
+        return unwritten(one, f"{why}: it would be free")
     return one
 
 

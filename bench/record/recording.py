@@ -118,7 +118,8 @@ class Recording:
             line = fault.line if isinstance(fault, TableError) else line
             raise RecordingError(f"{path}:{line}: {fault}") from fault
         except (OSError, TextError) as fault:
-            raise RecordingError(f"{path}: {fault}") from fault
+            why = getattr(fault, "strerror", None) or fault
+            raise RecordingError(f"{path}: {why}") from fault
         return {frame: tuple(rows) for frame, rows in found.items()}
 
     def _check(self, rows: Sequence[TruthRow], frame: str, row: TruthRow) -> None:
@@ -155,7 +156,7 @@ def _image(path: Path) -> NDArray[Any]:
     except FileNotFoundError:
         raise RecordingError(f"{path}: missing; every frame needs it") from None
     except OSError as fault:
-        raise RecordingError(f"{path}: can't be read: {fault}") from fault
+        raise RecordingError(f"{path}: can't be read: {fault.strerror or fault}") from fault
     # OpenCV takes some of these, and libpng writes about others to the terminal
     if damaged := _damaged_chunk(data):
         again = "Copy it again from where it was taken."

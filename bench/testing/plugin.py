@@ -308,6 +308,7 @@ def pytest_runtest_makereport(
     if own and call.excinfo and isinstance(error := call.excinfo.value, own.SceneFailedError):
         from bench.testing.found import folder_name, write_found
         from textfiles.text import in_command
+        from textfiles.whole import refusal
 
         text = f"{error}\n{error.neighbourhood()}\n\n{error.lines()}"
         try:
@@ -318,7 +319,7 @@ def pytest_runtest_makereport(
             keep = f"teatbench campaign keep {in_command(folder)} --into recordings/kept"
             text += f"\nKeep it: {keep}"
         except OSError as fault:
-            text += f"\nNot written: {fault}. Name another folder with --found-scenes."
+            text += f"\nNot written: {refusal(fault, 'Name another folder with --found-scenes.')}"
         report.sections.append(("simplest scene", text))
     return report
 

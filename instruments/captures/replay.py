@@ -277,7 +277,7 @@ def replay_wire(
         try:
             replay = Replay(capture, clock, links=links or None, fast=fast, again=again, host=host)
         except OSError as error:
-            what = f"can't listen on {host}: {error}"
+            what = f"can't listen on {host}: {error.strerror or error}"
             raise CaptureError(capture.path, [(0, what)]) from error
         with replay:
             yield replay

@@ -130,7 +130,7 @@ def test_closing_leaves_no_thread() -> None:
 @pytest.mark.parametrize(
     ("url", "message"),
     [
-        ("socket://127.0.0.1:1", "nothing takes the connection"),
+        ("socket://127.0.0.1:1", r"nothing takes the connection: [^\[]"),
         ("socket://127.0.0.1", "host or port is missing"),
         ("socket://127.0.0.1:99999", "not a link"),
         ("/dev/no-such-port", "can't be opened"),

@@ -141,6 +141,15 @@ def test_colour_and_sixteen_bits_are_read_as_grey(folder: Path) -> None:
     assert (frames.left[0, 0], frames.right[0, 0]) == (150, 255)
 
 
+@pytest.mark.parametrize("name", ["frames/0000/left.png", "truth.csv"])
+def test_a_folder_in_place_of_a_file_is_named_in_words(folder: Path, name: str) -> None:
+    path = folder / name
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(RecordingError, match=r": (can't be read: )?[A-Z][a-z ]+$"):
+        Recording(folder).load("0000")
+
+
 def test_a_folder_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="there is no such folder"):
         Recording(tmp_path / "nowhere")
