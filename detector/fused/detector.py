@@ -73,6 +73,7 @@ from detector.outline.prior import (
     depths_seen_mm,
     eyes_mm,
     right_from_teats,
+    thermal_camera,
     world_from_teats,
 )
 from detector.outline.views import optical_views, thermal_view
@@ -173,11 +174,10 @@ class _Thermal:
         """Raises UnusableError, OutOfDomainError."""
         depths_mm = depths_seen_mm(calibration, prior)
         view, camera = thermal_view(frames, calibration), calibration.thermal
-        if camera.lens is None:
-            raise ValueError("a thermal view without a lens")
+        lens, _ = thermal_camera(calibration)
         size = camera.image_size[0] / camera.sensor_size[0]
         sought = TeatTemplate.of(view.camera, view.camera_from_teats, depths_mm, prior)
-        return cls(view, camera.lens, size, levels(view.field), depths_mm, sought)
+        return cls(view, lens, size, levels(view.field), depths_mm, sought)
 
     def px(self, points_mm: Array) -> Array:
         """Where the delivered picture shows points (k, 3) of the fits' frame."""
