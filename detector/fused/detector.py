@@ -84,10 +84,10 @@ _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
 _MAYBE_END, _SOME_END = 4.0, 0.7  # odds below what is given, thermal score, of what has a sentence
 LEARNED = learned()
-# An array of this size, given back once, lets glibc keep what a frame set gives back for the next
-# one: else the kernel clears some 2 000 pages for each, a tenth of the time.
-np.empty(1 << 24, dtype=np.uint8)
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
+# glibc keeps freed memory up to twice the largest block that was freed. Without this one the kernel
+# clears some 2 000 pages anew for each frame set, a tenth of its time.
+np.empty(1 << 24, dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
