@@ -245,28 +245,18 @@ def decide(
     return Decision(odds, reasons, by_witness, by_place)
 
 
-NEAR_MM = 4.0  # a fit whose end is so near to a teat's is right
-
-
-def means(ends: Array, odds: Array, rows: list[int], power: float) -> tuple[Array, Array]:
-    """Of the ends (m, 3) of fits, by where ``rows`` are: the means (n, 3) of those near to them,
-    weighted by a power of the odds of log ``odds`` (m,); and how those of one place scatter about
-    them by their odds, covariances (n, 3, 3).
+def means(ends: Array, odds: Array, rows: list[int]) -> tuple[Array, Array]:
+    """Means (n, 3) and covariances (n, 3, 3) of the ends (m, 3) of fits in the places of ``rows``,
+    weighted by their odds, of log ``odds`` (m,).
     """
     apart = ends - ends[rows, None]
-    away = np.linalg.norm(apart, axis=2)
+    here = np.linalg.norm(apart, axis=2) < _ONE_PLACE_MM
     # of a likelier one that gave way to another teat there may be no more than of the given
-    ratio = np.minimum(odds - odds[rows, None], 0.0)
-    mean = np.einsum("nm,nmi->ni", _shares(power * ratio, away < NEAR_MM), apart)
+    share = np.where(here, np.exp(np.minimum(odds - odds[rows, None], 0.0)), 0.0)
+    share /= share.sum(axis=1, keepdims=True)
+    mean = np.einsum("nm,nmi->ni", share, apart)
     off = apart - mean[:, None]
-    shares = _shares(ratio, away < _ONE_PLACE_MM)
-    return ends[rows] + mean, np.einsum("nm,nmi,nmj->nij", shares, off, off)
-
-
-def _shares(log: Array, of: NDArray[np.bool_]) -> Array:
-    """Shares (n, m) in a sum of 1 a row."""
-    share = np.where(of, np.exp(log), 0.0)
-    return np.asarray(share / share.sum(axis=1, keepdims=True))
+    return ends[rows] + mean, np.einsum("nm,nmi,nmj->nij", share, off, off)
 
 
 _OVERLAP = 0.85  # two teats' axes are never closer than this share of the sum of their radii

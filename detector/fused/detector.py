@@ -96,7 +96,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "28"  # counted up when an answer on any frame set changes
+    version: str = "29"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -407,7 +407,7 @@ def _answers(
     accepted, evidence = judged.fitted.take(rows), judged.evidence.take(rows)
     fitted, own = unaliased(accepted, p)
     teats, turned = fitted.teats, right_from_teats(calibration)
-    mean, between = means(apexes(judged.fitted.teats), judged.decision.odds, rows, LEARNED.power)
+    mean, between = means(apexes(judged.fitted.teats), judged.decision.odds, rows)
     found = apexes(teats) + mean - apexes(accepted.teats)
     ends, down = turned.apply(found), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
