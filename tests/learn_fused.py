@@ -1,16 +1,16 @@
-"""``python -m tests.learn_fused --frames DIR``: learns what `fused` decides and states by, and writes
-detector/fused/learned.json.
+"""``python -m tests.learn_fused --frames DIR``: learns what `fused` decides and states by, and
+writes detector/fused/learned.json.
 
 Scenes of all families are drawn on the shipped rig, some of each on rigs drawn at random, scenes of
 the free range of `bench.testing` and of lines beside teats (two families more), and those that were
-difficult; DIR keeps their frames. The detector runs on them and shows what it measures of every fit. The log odds of a fit are
-linear in that: weights are the maximum a posteriori with a ridge, of fits labelled by whether an
-end is near. The power of odds by which fits of one end are weighted is that which does best; the
-least odds of what is given are the least that do about as well as the best. Standard deviations are
-linear in their terms: factors, none negative, are those of the greatest likelihood of the errors
-that were made (an end taken for another's counts for none of them). Both are done twice, as the
-first answers change which fits are tried. The limits by which fits are tried again stay, unless
-``--limits`` tries two others of each, by a run on all scenes for each.
+difficult; DIR keeps their frames. The detector runs on them and shows what it measures of every
+fit. The log odds of a fit are linear in that: weights are the maximum a posteriori with a ridge, of
+fits labelled by whether an end is near. The least odds of what is given are the least that do about
+as well as the best. Standard deviations are linear in their terms: factors, none negative, are
+those of the greatest likelihood of the errors that were made (an end taken for another's counts for
+none of them). Both are done twice, as the first answers change which fits are tried. The limits by
+which fits are tried again stay, unless ``--limits`` tries two others of each, by a run on all
+scenes for each.
 
 The gate: each family is judged by weights that were learned without it. A change passes that has as
 many ends found, less four for each false one, as the file says.
@@ -39,7 +39,7 @@ from bench.scoring.matching import gate_mm, match
 from detector.calibration import Calibration, ParameterCovariance
 from detector.external.serve import Pictures
 from detector.fused.covariances import TERMS, variance_terms
-from detector.fused.decide import MEASURES, NEAR_MM, Fits, exclude, means, measures
+from detector.fused.decide import MEASURES, Fits, exclude, means, measures
 from detector.fused.evidence import Evidence
 from detector.fused.learned import FILE, in_order
 from detector.outline.model import apexes
@@ -55,10 +55,11 @@ Array = NDArray[np.float64]
 SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 120, 26, 6
 FREE, FREE_SCENES = "free", 480
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
+NEAR_MM = 4.0  # a fit whose end is so near to a teat's is right
 RIDGE, NOT_SURE_MM, LESS = 1.5e-3, (2.5, 6.0), 0.3
 AGAIN, WITHIN = 2, 0.2
 # a false end counts as so many that are missed
-FALSE, LEASTS, POWERS = 4, (-1.2, -0.9, -0.6, -0.3, 0.0, 0.3), (0.5, 1.0, 2.0, 4.0)
+FALSE, LEASTS = 4, (-1.2, -0.9, -0.6, -0.3, 0.0, 0.3)
 NEARLY = 0.999  # of the best gain: of least odds that do as well the least, which finds the most
 
 # what is tried of the limits by which fits are tried again
@@ -256,7 +257,7 @@ def learned_spread(some: Sequence[Shown]) -> Array:
 def learned_limits(frames: Path) -> dict[str, float]:
     """Each of `LIMITS` in turn, from those in use on: the least change that does best."""
     now, best, limits = fused.LEARNED, -np.inf, dict(fused.LEARNED.limits)
-    by = in_order(now.weights, MEASURES), now.bias, now.least, now.power
+    by = in_order(now.weights, MEASURES), now.bias, now.least
     tried = [(name, value) for name, values in LIMITS.items() for value in values]
     for name, value in [("side", limits["side"]), *tried]:
         fused.LEARNED = replace(now, limits=limits | {name: value})
@@ -267,9 +268,7 @@ def learned_limits(frames: Path) -> dict[str, float]:
     return limits
 
 
-def judged(
-    some: Sequence[Shown], weights: Array, bias: float, least: float, power: float
-) -> dict[str, Any]:
+def judged(some: Sequence[Shown], weights: Array, bias: float, least: float) -> dict[str, Any]:
     """Ends visible and found, and false ones, of the best sets by these odds, and the mean mm."""
     count: dict[str, Any] = {"visible": 0, "found": 0, "false": 0}
     off = list[float]()
@@ -278,7 +277,7 @@ def judged(
         for i in np.argsort(-odds, kind="stable").tolist():
             if odds[i] > least and len(kept) < Prior().udder and not one.through[i, kept].any():
                 kept.append(i)
-        ends, _ = means(one.places_mm, odds, kept, power)
+        ends, _ = means(one.places_mm, odds, kept)
         found = match(ends, one.ends_mm, one.visible, gate_mm(one.ends_mm))
         count["visible"] += found.counts.visible
         count["found"] += found.counts.matched
@@ -297,14 +296,13 @@ def main() -> None:
     some = every_shown(given.frames)
     (given.frames / "shown.pickle").write_bytes(pickle.dumps(some))  # for studies
     (weights, bias), factors = learned_odds(some), learned_spread(some)
-    power = min(POWERS, key=lambda each: judged(some, weights, bias, LEASTS[0], each)["mean mm"])
     apart = list[tuple[str, list[Shown], tuple[Array, float]]]()
     for name in (*SITUATIONS, FREE, BESIDE):
         others = learned_odds([one for one in some if one.family != name], np.r_[weights, bias])
         apart.append((name, [one for one in some if one.family == name], others))
 
     def figures(least: float) -> dict[str, dict[str, Any]]:
-        return {name: judged(own, *by, least, power) for name, own, by in apart}
+        return {name: judged(own, *by, least) for name, own, by in apart}
 
     def gain(least: float) -> int:
         return sum(one["found"] - FALSE * one["false"] for one in figures(least).values())
@@ -321,7 +319,7 @@ def main() -> None:
         "fits": sum(len(one.seen) for one in some),
         "ends": sum(len(one.errors_mm) for one in some),
     }
-    odds = {"least": least, "power": power, "bias": round(bias, 4)}
+    odds = {"least": least, "bias": round(bias, 4)}
     table = {
         "made": made,
         "odds": odds | {"weights": by_name, "usual": usual},

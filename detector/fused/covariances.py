@@ -16,7 +16,7 @@ from detector.fused.decide import Fits, aside, one_sided
 from detector.fused.learned import Learned, in_order
 from detector.fused.parameters import Parameters
 from detector.fused.refine import any_shape
-from detector.geometry import Array
+from detector.geometry import Array, or_zero
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import apex_jacobian, information, usual
 from detector.outline.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, TAPER, apexes, axes
@@ -37,12 +37,12 @@ def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
     estimated for each optical picture from what the fits of all teats leave over.
     """
     m, n, seen = len(fitted.teats), len(FINE_OUTLINE.part), fitted.seen
-    place = seen.pixels_px + np.nan_to_num(seen.offset_px)[..., None] * seen.normals
+    place = seen.pixels_px + or_zero(seen.offset_px)[..., None] * seen.normals
     waves = np.zeros((m, fitted.weight.shape[1], 2))
     for view in range(2):
         at = slice(view * n, (view + 1) * n)
         wave = seen.normals[:, at] ** 3 * np.sin(2 * np.pi * place[:, at])
-        waves[:, at, view] = np.nan_to_num(wave).sum(axis=2)
+        waves[:, at, view] = or_zero(wave).sum(axis=2)
     H, moves = information(seen, fitted.weight, usual(p.prior)[1]), _moves(fitted)
     pull = (moves * fitted.weight[..., None]).transpose(0, 2, 1)
     by_waves = np.linalg.solve(H, pull @ waves)
@@ -110,7 +110,7 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     gain = (_moves(fitted) * fitted.weight[..., None]) @ _of_ends(fitted, p)
     gain = np.ascontiguousarray(gain.transpose(0, 2, 1))
     optical = 2 * len(FINE_OUTLINE.part)
-    sd = np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)
+    sd = np.where(fitted.weight > 0, fitted.seen.sd_px, 0.0)
     noise = gain * (sd * _left_over(fitted)[:, None])[:, None]
     limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
     # both pictures show the same light
@@ -145,7 +145,7 @@ def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
     """Common sd (m,) px of a stretch of the optical outlines."""
     k = 2 * len(FINE_OUTLINE.part)
     used = fitted.weight[:, :k] > 0
-    offset = np.where(used, np.clip(np.nan_to_num(fitted.seen.offset_px[:, :k]), -1, 1), 0.0)
+    offset = np.where(used, np.clip(fitted.seen.offset_px[:, :k], -1, 1), 0.0)
     count = used.reshape(len(used), -1, _STRETCH).sum(axis=2)
     mean = offset.reshape(*count.shape, _STRETCH).sum(axis=2) / np.maximum(count, 1)
     whole = count >= _STRETCH - 1

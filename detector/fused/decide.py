@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from detector.fused.evidence import WHOLE_END, Evidence
 from detector.fused.learned import Learned, in_order
-from detector.geometry import Array
+from detector.geometry import Array, or_zero
 from detector.outline.model import END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, apexes, axes
 from detector.outline.prior import Prior
 
@@ -50,7 +50,7 @@ class Fits:
     @cached_property
     def thermal(self) -> Array:
         """Offsets (m, 3) of the thermal outline, 0 where there is none."""
-        return np.nan_to_num(self.of.thermal_px)
+        return or_zero(self.of.thermal_px)
 
     @cached_property
     def away_mm(self) -> Array:
@@ -122,7 +122,7 @@ class Measure(NamedTuple):
 def aside(f: Fits) -> Array:
     """How far the thermal outline lies to one side, sensor px: of a wrong depth."""
     sides = f.of.thermal_px[:, [SIDE_A, SIDE_B]]
-    return np.asarray(0.5 * np.abs(np.nan_to_num(sides[:, 0] - sides[:, 1])))
+    return np.asarray(0.5 * np.abs(or_zero(sides[:, 0] - sides[:, 1])))
 
 
 def one_sided(f: Fits) -> Array:
@@ -221,15 +221,12 @@ def decide(
     """The best of teats (m, 8) that don't overlap, nor hide each other's ends from both ``eyes``
     (2, 3), the optical cameras' centres.
     """
-    seen, kinds = measures(teats, evidence, prior), MEASURES.values()
+    seen, kinds = measures(teats, evidence, prior), list(MEASURES.values())
     weights = in_order(learned.weights, MEASURES)
-    best = np.array(
-        [kind.most if w > 0 else kind.least for kind, w in zip(kinds, weights, strict=True)]
-    )
-    lack = (best - seen) * weights
+    lack = (np.where(weights > 0, _RANGES[1], _RANGES[0]) - seen) * weights
     odds = seen @ weights + learned.bias
     short = (in_order(learned.usual, MEASURES) - seen) * weights
-    reasons: list[str | None] = [list(kinds)[k].lacking for k in short.argmax(axis=1)]
+    reasons: list[str | None] = [kinds[k].lacking for k in short.argmax(axis=1)]
     witness = lack[:, [kind.witness for kind in kinds]].sum(axis=1)
     order = np.argsort(-odds, kind="stable")
     order = order[odds[order] > learned.least]
@@ -248,40 +245,36 @@ def decide(
     return Decision(odds, reasons, by_witness, by_place)
 
 
-NEAR_MM = 4.0  # a fit whose end is so near to a teat's is right
-
-
-def means(ends: Array, odds: Array, rows: list[int], power: float) -> tuple[Array, Array]:
-    """Of the ends (m, 3) of fits, by where ``rows`` are: the means (n, 3) of those near to them,
-    weighted by a power of the odds of log ``odds`` (m,); and how those of one place scatter about
-    them by their odds, covariances (n, 3, 3).
+def means(ends: Array, odds: Array, rows: list[int]) -> tuple[Array, Array]:
+    """Means (n, 3) and covariances (n, 3, 3) of the ends (m, 3) of fits in the places of ``rows``,
+    weighted by their odds, of log ``odds`` (m,).
     """
     apart = ends - ends[rows, None]
-    away = np.linalg.norm(apart, axis=2)
+    here = np.linalg.norm(apart, axis=2) < _ONE_PLACE_MM
     # of a likelier one that gave way to another teat there may be no more than of the given
-    ratio = np.minimum(odds - odds[rows, None], 0.0)
-    mean = np.einsum("nm,nmi->ni", _shares(power * ratio, away < NEAR_MM), apart)
+    share = np.where(here, np.exp(np.minimum(odds - odds[rows, None], 0.0)), 0.0)
+    share /= share.sum(axis=1, keepdims=True)
+    mean = np.einsum("nm,nmi->ni", share, apart)
     off = apart - mean[:, None]
-    shares = _shares(ratio, away < _ONE_PLACE_MM)
-    return ends[rows] + mean, np.einsum("nm,nmi,nmj->nij", shares, off, off)
-
-
-def _shares(log: Array, of: NDArray[np.bool_]) -> Array:
-    """Shares (n, m) in a sum of 1 a row."""
-    share = np.where(of, np.exp(log), 0.0)
-    return np.asarray(share / share.sum(axis=1, keepdims=True))
+    return ends[rows] + mean, np.einsum("nm,nmi,nmj->nij", share, off, off)
 
 
 _OVERLAP = 0.85  # two teats' axes are never closer than this share of the sum of their radii
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 
+def _solid(teats: Array) -> Array:
+    """Points (m, 7, 3) along the axes of teats (m, 8)."""
+    return np.asarray(teats[:, None, :3] + _AXIS_MM[:, None] * axes(teats)[:, None])
+
+
 def pass_through(first: Array, second: Array) -> NDArray[np.bool_]:
     """Whether solid teats (m, 8) would be in others (k, 8): (m, k)."""
-    one, other = (t[:, None, :3] + _AXIS_MM[:, None] * axes(t)[:, None] for t in (first, second))
-    apart = ((one[:, None, :, None] - other[None, :, None]) ** 2).sum(axis=4)
-    least = _OVERLAP * (first[:, None, RADIUS] + second[None, :, RADIUS])
-    return np.asarray(apart.min(axis=(2, 3), initial=np.inf) < least**2)
+    one, other = (_solid(teats).reshape(-1, 3) for teats in (first, second))
+    apart = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2.0 * one @ other.T
+    apart = apart.reshape(len(first), len(_AXIS_MM), len(second), len(_AXIS_MM))
+    least = _OVERLAP * (first[:, None, RADIUS] + second[:, RADIUS])
+    return np.asarray(apart.min(axis=(1, 3), initial=np.inf) < least**2)
 
 
 def exclude(teats: Array, eyes: Array) -> NDArray[np.bool_]:
@@ -300,8 +293,7 @@ def hidden_by(teats: Array, eyes: Array) -> NDArray[np.bool_]:
     points = teats[:, None, :3] + half * np.array([1.0, 0.0, 0.0])
     sights = points - eyes[:, None, None]
     far = np.linalg.norm(sights, axis=3)[..., None, None]
-    solid = teats[:, None, :3] + _AXIS_MM[:, None] * axes(teats)[:, None]
-    out = solid - eyes[:, None, None]
+    out = _solid(teats) - eyes[:, None, None]
     along = np.einsum("empi,ekqi->empkq", sights / far[..., 0], out)
     aside2 = (out**2).sum(axis=3)[:, None, None] - along**2
     radii = _OVERLAP * teats[:, RADIUS, None]

@@ -95,16 +95,16 @@ def hypotheses(
 def sweep_ends(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
     """Best starts among teats (n, d, 8) with thermal end scores ``nominated`` (n,)."""
     best = _by_depth(teats, maps, p, end=True)
-    rows, columns = _peaks(best, p.starts_per_nomination)
-    return Starts(teats[rows, columns], best[rows, columns], nominated[rows] * _NEXT ** _rank(rows))
+    rows, columns, rank = _peaks(best, p.starts_per_nomination)
+    return Starts(teats[rows, columns], best[rows, columns], nominated[rows] * _NEXT**rank)
 
 
 def sweep_bars(
     teats: Array, nominated: Array, maps: tuple[Map, ...], thermal: Map, p: Parameters
 ) -> Starts:
     """Best starts among teats (n, d, 8) known by their sides: depth first, then the end."""
-    rows, columns = _peaks(_by_depth(teats, maps, p, end=False), p.starts_per_nomination)
-    deep, nominated = teats[rows, columns], nominated[rows] * _NEXT ** _rank(rows)
+    rows, columns, rank = _peaks(_by_depth(teats, maps, p, end=False), p.starts_per_nomination)
+    deep, nominated = teats[rows, columns], nominated[rows] * _NEXT**rank
     slid = np.repeat(deep[:, None], len(_SLIDE_MM), axis=1)
     slid[..., :3] -= _SLIDE_MM[:, None] * axes(deep)[:, None]
     flat = slid.reshape(-1, COUNT)
@@ -112,10 +112,8 @@ def sweep_bars(
     optical = _joint(flat, maps, _CROSS_PX).max(axis=0)
     score = optical + 0.5 * _scores(flat, thermal, _CROSS_PX[:1])[0]
     score = score.reshape(slid.shape[:2])
-    rows, columns = _peaks(score, 2)
-    return Starts(
-        slid[rows, columns], score[rows, columns] / 1.5, nominated[rows] * _NEXT ** _rank(rows)
-    )
+    rows, columns, rank = _peaks(score, 2)
+    return Starts(slid[rows, columns], score[rows, columns] / 1.5, nominated[rows] * _NEXT**rank)
 
 
 def _by_depth(teats: Array, maps: tuple[Map, ...], p: Parameters, *, end: bool) -> Array:
@@ -192,28 +190,22 @@ def _scores(
     found = np.empty((len(shifts), m), dtype=np.float32)
     kernels.across(
         each.gradients, shifts, np.ascontiguousarray(teats), swells,
-        (each.view.numbers, each.view.corner_px), (arc, _BELOW), end, found,
+        each.view.numbers, (arc, _BELOW), end, found,
     )  # fmt: skip
     return np.asarray(found)
 
 
-def _rank(rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """How many times (m,) each of ``rows`` (m,) came before."""
-    return np.array(
-        [np.count_nonzero(rows[:i] == row) for i, row in enumerate(rows)], dtype=np.intp
-    )
-
-
-def _peaks(score: Array, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the ``most`` highest local maxima of each row (n, d)."""
+def _peaks(score: Array, most: int) -> NDArray[np.intp]:
+    """Rows, columns and ranks from 0 on (3, k) of the ``most`` highest local maxima of each row of
+    scores (n, d).
+    """
     left = np.array(score)
-    rows, columns = [], []
+    found = []
     every = np.arange(len(left))
-    for _ in range(most):
+    for rank in range(most):
         at = left.argmax(axis=1)
         good = left[every, at] > _LEAST
-        rows.append(every[good])
-        columns.append(at[good])
+        found.append([every[good], at[good], np.full(good.sum(), rank)])
         beside = at[:, None] + np.arange(-_APART_STEPS, _APART_STEPS + 1)
         left[every[:, None], np.minimum(np.maximum(beside, 0), left.shape[1] - 1)] = 0.0
-    return np.concatenate(rows), np.concatenate(columns)
+    return np.concatenate(found, axis=1)

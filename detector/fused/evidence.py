@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from detector.fused.refine import ROUND_MM, side_stops
 from detector.fused.thermal import Field
-from detector.geometry import Array, Camera, Motion
+from detector.geometry import Array, Camera, Motion, or_zero
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import CameraView
@@ -88,7 +88,7 @@ def weigh(
     better, other = sides.max(axis=0), sides.min(axis=0)
     medians = _offsets(fitted)
     thermal, wide = medians[:, 2], medians[:, :2, [SIDE_A, SIDE_B]].sum(axis=2)
-    width = np.nan_to_num(np.abs(wide[:, 0] - wide[:, 1]))
+    width = or_zero(np.abs(wide[:, 0] - wide[:, 1]))
     (rows, _), (low, high) = row_offsets(fitted, prior), levels
     in_range = (np.sort(warmth, axis=1)[:, 1] - low) / max(high - low, _LEAST_RANGE_K)
     both, end = other[:, :2].min(axis=1) > _LEAST_BOTH, good[:, :2, part == END]

@@ -20,16 +20,14 @@ FILE = Path(__file__).with_name("learned.json")
 @dataclass(frozen=True, slots=True)
 class Learned:
     """``weights`` and ``bias`` of log odds by measure, and what is ``usual`` of right fits; the
-    ``least`` odds of what is given, and the ``power`` of odds by which fits of one end are
-    weighted; of standard deviations the factor of what ``edges`` say, and ``factors`` by term; the
-    ``limits`` of measures by which fits are tried again.
+    ``least`` odds of what is given; of standard deviations the factor of what ``edges`` say, and
+    ``factors`` by term; the ``limits`` of measures by which fits are tried again.
     """
 
     weights: Mapping[str, float]
     usual: Mapping[str, float]
     bias: float
     least: float
-    power: float
     edges: float
     factors: Mapping[str, float]
     limits: Mapping[str, float]
@@ -46,6 +44,6 @@ def learned() -> Learned:
     table = json.loads(FILE.read_text(encoding="utf-8"))
     odds, spread = table["odds"], table["spread"]
     return Learned(
-        odds["weights"], odds["usual"], odds["bias"], odds["least"], odds["power"],
+        odds["weights"], odds["usual"], odds["bias"], odds["least"],
         spread["edges"], spread["terms"], table["limits"],
     )  # fmt: skip

@@ -29,17 +29,7 @@ from detector.outline.fine import (
     stepped,
 )
 from detector.outline.fit import CameraView, OutlineEdges, look, weights
-from detector.outline.model import (
-    COUNT,
-    CX,
-    END,
-    HEIGHT,
-    RADIUS,
-    TAPER,
-    Outline,
-    apexes,
-    axes,
-)
+from detector.outline.model import COUNT, CX, END, HEIGHT, RADIUS, TAPER, Outline, apexes, axes
 from detector.outline.prior import Prior, disparities_px
 
 _MOST_A_BAR = 2
@@ -59,9 +49,9 @@ def refine(
         return None
     nearly = fine(teats, None, views, p.prior, steps=2)
     # in each place go on with the one with most of its outline seen
-    ends, kept = apexes(nearly.teats), list[int]()
+    same, kept = _near(apexes(nearly.teats), _ONE_MM), list[int]()
     for i in np.argsort(-(nearly.weight > 0).sum(axis=1), kind="stable").tolist():
-        if all(np.abs((ends[i] - ends[k]) / _ONE_MM).max() > 1 for k in kept):
+        if not same[i, kept].any():
             kept.append(i)
     best = nearly.take(sorted(kept))
     return fine(best.teats, best.hidden, views, p.prior, best.seen, steps=FINE_STEPS - 2, first=2)
@@ -91,20 +81,21 @@ def _distinct(
     near &= weights(seen, ROUGH_SCALE) > 0
     optical = near[:, : 2 * near.shape[1] // 3]
     share, ends = np.maximum(near.mean(axis=1), optical.mean(axis=1)), apexes(teats)
-    same = np.abs((ends[:, None] - ends) / same_mm).max(axis=2) <= 1
-    new = np.abs((ends[:, None] - known_mm) / same_mm).max(axis=2).min(axis=1, initial=9.0) > 1
-    one_bar = on_one_bar(teats)
-    kept: list[int] = []
-    for i in np.argsort(-share, kind="stable"):
-        if (
-            share[i] > least
-            and new[i]
-            and len(kept) < most
-            and not same[i, kept].any()
-            and one_bar[i, kept].sum() < _MOST_A_BAR
-        ):
-            kept.append(int(i))
+    same, one_bar = _near(ends, same_mm), on_one_bar(teats)
+    open_ = (share > least) & ~_near(ends, same_mm, known_mm).any(axis=1)
+    on_bar, kept = np.zeros(len(teats), dtype=int), list[int]()
+    for i in np.argsort(-share, kind="stable").tolist():
+        if open_[i] and len(kept) < most:
+            kept.append(i)
+            on_bar += one_bar[:, i]
+            open_ &= ~same[i] & (on_bar < _MOST_A_BAR)
     return kept
+
+
+def _near(ends: Array, same_mm: Array, others: Array | None = None) -> NDArray[np.bool_]:
+    """Which of ends (m, 3) are the same as others (k, 3), or each other: (m, k)."""
+    away = ends[:, None] - (ends if others is None else others)
+    return np.asarray((np.abs(away / same_mm) <= 1).all(axis=2))
 
 
 def on_one_bar(teats: Array) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.geometry import Array
+from detector.geometry import Array, or_zero
 from detector.outline.edges import LEAST_CLEAR, sample
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import CameraView
@@ -56,7 +56,7 @@ def sharpness(fitted: Fitted, views: tuple[CameraView, ...]) -> Sharpness:
     widths, clipped = np.full((m, 2, 2), np.nan), np.zeros((m, 2, 2))  # by picture and part
     for number, view in enumerate(views):
         at = slice(number * n, (number + 1) * n)
-        offset, normals = np.nan_to_num(seen.offset_px[:, at]), seen.normals[:, at]
+        offset, normals = or_zero(seen.offset_px[:, at]), seen.normals[:, at]
         middles = seen.pixels_px[:, at] + offset[..., None] * normals - view.corner_px
         lines = sample(view.field, middles.reshape(-1, 2), normals.reshape(-1, 2), _X_PX)
         lines = lines.reshape(m, n, -1)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from detector.geometry import Array, Camera, Motion
 from detector.outline import kernels
 from detector.outline.model import Rows
-from detector.outline.pictures import median
+from detector.outline.pictures import median, steepness
 from detector.outline.prior import Prior
 
 Field = NDArray[np.float32]
@@ -29,7 +29,6 @@ _BAR_LEANS = (-0.66, -0.44, -0.22, 0.0, 0.22, 0.44, 0.66)
 _WIDER, _MOST_TIPS = 1.31, 250  # from one width that is tried to the next
 ROOM_PX = 48  # of zeros about the gradients, for outlines beyond the picture
 _APART_PX, _NARROWEST_PX = 4.0, 1.6
-_EVERY = 3  # of so many pixels in either direction one tells how noisy gradients are
 # strengths, 0 to 1
 _STEEP, _LEAST_END, _LEAST_BAR = 0.35, 0.25, 0.45
 
@@ -210,8 +209,7 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0, border:
     noise's. With a ``border`` of zeros.
     """
     smooth: Field = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur_px), dtype=np.float32)
-    steep = np.empty([-(-side // _EVERY) for side in smooth.shape], dtype=np.float32)
-    kernels.steepness(smooth, _EVERY, steep)
+    steep = steepness(smooth, second=False)
     rows, columns = smooth.shape
     found = np.zeros((rows + 2 * border, columns + 2 * border, 2), dtype=np.float32)
     kernels.squeezed(smooth, np.float32(max(noises * median(steep), 1e-6)), border, found)

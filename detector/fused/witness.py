@@ -23,11 +23,11 @@ import numpy as np
 from detector.calibration import Calibration
 from detector.calibration.bundle import LENS, POSE
 from detector.fused.parameters import Parameters
-from detector.geometry import Array, Camera, Motion
+from detector.geometry import Array
 from detector.outline.fine import Fitted
 from detector.outline.model import apexes
 from detector.outline.offsets import row_offsets, thermal_offsets
-from detector.outline.prior import right_from_teats
+from detector.outline.prior import right_from_teats, thermal_camera
 from detector.outline.views import THERMAL
 from detector.protocol import CamerasOff, Detection
 
@@ -64,7 +64,7 @@ def agreement(
     """Pooled over ``some`` fits: the accepted ones, else what only a witness speaks against. Where
     thermal outlines lie farther off than edges are looked for, by ``far_px`` (k, 2), over those.
     """
-    lens, pose = _thermal_camera(calibration)
+    lens, pose = thermal_camera(calibration)
     thermal_mm = abs(float((pose.R.T @ pose.T)[0]))
     optical = calibration.right.fc[0] * calibration.baseline_mm
     ratio = max(lens.fc[0] / size * thermal_mm / optical, 1e-3)
@@ -136,7 +136,7 @@ def _stated_px(ends_mm: Array, calibration: Calibration) -> Array:
     def seen(moved: Calibration) -> Array:
         place = moved.in_right_mm(left_px, right_px)
         left, right = moved.project(moved.world_from_right.apply(place))
-        lens, pose = _thermal_camera(moved)
+        lens, pose = thermal_camera(moved)
         rows = ((right - right_px) - (left - left_px))[0, 1]
         return np.array([rows, *lens.project(pose.apply(place))[0] / size])
 
@@ -169,13 +169,6 @@ def with_cameras_off(answer: Detection, known: CamerasOff, calibration: Calibrat
         " poses of this run): check the calibration, and that all pictures are of one time"
     )
     return replace(answer, teats=teats, reason="; ".join(filter(None, [answer.reason, said])))
-
-
-def _thermal_camera(calibration: Calibration) -> tuple[Camera, Motion]:
-    lens, pose = calibration.thermal.lens, calibration.thermal_from_right
-    if lens is None or pose is None:
-        raise ValueError("the calibration has no lens and pose of the thermal camera")
-    return lens, pose
 
 
 def _moved(calibration: Calibration, owner: str, name: str, step: float) -> Calibration:

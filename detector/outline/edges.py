@@ -109,25 +109,25 @@ def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -
     """Intensities (n, s) at ``offsets_px`` along ``normals`` from ``middles_px``; NaN outside."""
     lines: Field = np.empty((len(middles_px), len(offsets_px)), dtype=np.float32)
     places = middles_px[None], normals[None], np.zeros(1, dtype=np.intp), 0, len(middles_px)
-    sample_into(lines, field, np.zeros(2), places, offsets_px)
+    sample_into(lines[None], [field], np.array([[0.0, 0.0, *field.shape]]), places, offsets_px)
     return lines
 
 
 def sample_into(
     lines: Field,
-    field: Field,
-    corner_px: Array,
+    fields: list[Field],
+    regions: Array,
     places: tuple[Array, Array, NDArray[np.intp], int, int],
     offsets_px: Array,
 ) -> None:
-    """`sample` into ``lines`` (n, s) of a field whose first pixel is at
-    ``corner_px`` (2,). ``places``: middles and normals (., k, 2), which rows of these, and of each
-    the first and how many.
+    """`sample` into ``lines`` (views, n, s) of fields that are ``regions`` (views, 4): the first
+    pixel's place, rows and columns. ``places``: middles and normals (., k, 2), which rows of these,
+    and of each the first and how many a view.
     """
-    x, y = np.empty_like(lines), np.empty_like(lines)
-    inside = np.empty(len(lines), dtype=bool)
-    package.kernels.places(places, corner_px, offsets_px, field.shape, (x, y), inside)
-    cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=lines)
+    x, y, inside = np.empty_like(lines), np.empty_like(lines), np.empty(lines.shape[:2], dtype=bool)
+    package.kernels.places(places, regions, offsets_px, (x, y), inside)
+    for each in zip(fields, x, y, lines, strict=True):
+        cv2.remap(*each[:3], cv2.INTER_CUBIC, dst=each[3])
     lines[~inside] = np.nan
 
 
@@ -151,7 +151,7 @@ def find_edges(
     """
     steps = np.ldexp(1.0, 1 + _LEVELS - np.frexp(noise)[1])  # an intensity, powers of two
     package.kernels.edges(
-        lines, noise, steps, (profile.rows, profile.flat),
+        lines, np.ascontiguousarray(noise), steps, (profile.rows, profile.flat),
         (profile.places, profile.pull, profile.grid_px), (_NEIGHBOURS, CLEAR, _DOUBT), LIGHT,
         which, first, edges,
     )  # fmt: skip

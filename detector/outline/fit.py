@@ -46,11 +46,13 @@ class CameraView:
     rough: Profile
     fine: Profile
     floor_px: float
-    numbers: Array = dataclasses.field(init=False)  # `model.numbers_of`, (22,)
+    # (27,): `model.numbers_of`, the first pixel's place, rows, columns and noise
+    numbers: Array = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         numbers = numbers_of(self.camera, self.camera_from_teats)
-        object.__setattr__(self, "numbers", numbers)
+        region = *self.corner_px, *self.field.shape, self.noise
+        object.__setattr__(self, "numbers", np.concatenate([numbers, region]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,7 @@ def look(
     m, n = len(teats), len(outline.part)
     which = np.arange(m) if which is None else which
     seen = OutlineEdges.empty(m, n, views) if known is None else known
-    cameras = np.stack([view.numbers for view in views])
+    cameras = np.array([view.numbers for view in views])
     teats = np.ascontiguousarray(teats[which])
     package.kernels.outlines(
         teats, cameras, (outline.along_mm, outline.over_end), slopes_too and known is None,
@@ -105,16 +107,15 @@ def look(
     )  # fmt: skip
     first = 0
     for profile, group in groupby(views, lambda view: view.fine if fine else view.rough):
-        alike = list(group)
+        fields = [view.field for view in group]
+        alike = cameras[first : first + len(fields)]
         lines = np.empty((len(alike), len(teats) * n, len(profile.offsets)), dtype=np.float32)
-        for k, (view, one) in enumerate(zip(alike, lines, strict=True)):
-            places = seen.pixels_px, seen.normals, which, first + k * n, n
-            sample_into(one, view.field, view.corner_px, places, profile.offsets)
+        places = seen.pixels_px, seen.normals, which, first * n, n
+        sample_into(lines, fields, alike[:, 22:26], places, profile.offsets)
         edges = seen.offset_px, seen.sd_px, seen.clarity, seen.limb_px, seen.unlike_px
-        noise = np.array([view.noise for view in alike])
         given = lines.reshape(len(alike), len(teats), n, -1)
-        find_edges(given, profile, noise, which, first, edges)
-        first += len(alike) * n
+        find_edges(given, profile, alike[:, 26], which, first * n, edges)
+        first += len(fields)
     return seen
 
 

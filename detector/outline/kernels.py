@@ -177,7 +177,7 @@ def _slope(
 def outlines(
     teats: Array, cameras: Array, outline: Arrays, slopes_too: bool, which: Ids, found: Arrays
 ) -> None:
-    """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22), `fit.CameraView` in numbers:
+    """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22 or more), `numbers_of` them:
     fills rows ``which`` (m,) of pixels, normals (., views * n, 2) and Jacobians (., views * n, 8).
     """
     (along, over), (pixels, normals, jacobian) = outline, found
@@ -193,7 +193,7 @@ def outlines(
             turned[0, d] = ((d == 0) - own[d] * own[0]) / length
             turned[1, d] = ((d == 2) - own[d] * own[2]) / length
         for v in range(len(cameras)):
-            lens, R, T = cameras[v, :10], cameras[v, 10:19].reshape(3, 3), cameras[v, 19:]
+            lens, R, T = cameras[v, :10], cameras[v, 10:19].reshape(3, 3), cameras[v, 19:22]
             for d in range(3):
                 axis[d] = _dot(R[d], own)
                 centre[d] = _dot(R[d], teat[:3]) + T[d]
@@ -435,17 +435,25 @@ def _gradient(
     return _f4(0.125) * x, _f4(0.125) * y
 
 
-@_compiled("void(f4[:,::1],i8,f4[:,::1])")
-def steepness(field: Field, every: int, result: Field) -> None:
-    """Fills lengths of gradients, at one pixel of so many in either direction; the rim mirrors."""
+@_compiled("void(f4[:,::1],i8,b1,f4[:,::1])")
+def steepness(field: Field, every: int, second: bool, result: Field) -> None:
+    """Fills lengths of gradients, or sizes of ``second`` differences along both axes, at one pixel
+    of so many in either direction; the rim mirrors.
+    """
     rows, columns = field.shape
     for i in range(len(result)):
         r = i * every
         above, here, below = field[abs(r - 1)], field[r], field[r + 1 if r + 1 < rows else r - 1]
         for j in range(result.shape[1]):
             c = j * every
-            x, y = _gradient(above, here, below, abs(c - 1), c, c + 1 if c + 1 < columns else c - 1)
-            result[i, j] = np.sqrt(x * x + y * y)
+            p, q = abs(c - 1), c + 1 if c + 1 < columns else c - 1
+            if second:
+                bend = above[p] - _f4(2) * above[c] + above[q]
+                bend = bend - _f4(2) * here[p] + _f4(4) * here[c] - _f4(2) * here[q]
+                result[i, j] = abs(bend + below[p] - _f4(2) * below[c] + below[q])
+            else:
+                x, y = _gradient(above, here, below, p, c, q)
+                result[i, j] = np.sqrt(x * x + y * y)
 
 
 @_compiled("void(f4[:,::1],f4,i8,f4[:,:,::1])")
@@ -471,27 +479,26 @@ def squeezed(field: Field, half: np.float32, border: int, result: Field) -> None
 
 
 @_compiled(
-    "void(f4[:,:,::1],f4[:,::1],f8[:,::1],f8[::1],UniTuple(f8[::1],2),"
-    "Tuple((f8[:,::1],f8[::1])),b1,f4[:,::1])"
+    "void(f4[:,:,::1],f4[:,::1],f8[:,::1],f8[::1],f8[::1],Tuple((f8[:,::1],f8[::1])),b1,f4[:,::1])"
 )
 def across(
     gradients: Field,
     shifts: Field,
     teats: Array,
     swell: Array,
-    view: Arrays,
+    view: Array,
     shape: Arrays,
     end: bool,
     result: Field,
 ) -> None:
     """Fills scores (shifts, m) of teats (m, 8), each with its ``swell`` (m,), in `squeezed`
-    gradients with a border of one. ``view``: numbers of `fit.CameraView` (22,) and the first
-    pixel's place; ``shape``: (k, 2) of the end, down and to the right, and of the sides.
+    gradients with a border of one. ``view``: `fit.CameraView` in numbers; ``shape``: (k, 2) of the
+    end, down and to the right, and of the sides.
     """
-    (camera, corner), (arc, below) = view, shape
+    (arc, below), corner = shape, view[22:24]
     rows, columns, _ = gradients.shape
     flat, moved = gradients.reshape(-1), shifts + _f4(1.5)
-    lens, R, T = camera[:10], camera[10:19].reshape(3, 3), camera[19:]
+    lens, R, T = view[:10], view[10:19].reshape(3, 3), view[19:22]
     sums = np.ones((3, len(shifts)), _f4)
     middle, lower, none = np.empty(3), np.empty(3), np.zeros(3)
     left, right = moved[:, 0].min(), moved[:, 0].max()
@@ -566,35 +573,40 @@ def _known(value: float, instead: float) -> float:
 
 
 @_compiled(
-    "void(Tuple((f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8)),f8[::1],f8[::1],UniTuple(i8,2),"
-    "UniTuple(f4[:,::1],2),b1[::1])"
+    "void(Tuple((f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8)),f8[:,:],f8[::1],UniTuple(f4[:,:,::1],2),"
+    "b1[:,::1])"
 )
 def places(
     lines: tuple[Array, Array, Ids, int, int],
-    corner: Array,
+    regions: Array,
     offsets: Array,
-    size: tuple[int, int],
     found: tuple[Field, Field],
     inside: NDArray[np.bool_],
 ) -> None:
-    """Fills columns and rows (m * n, s) of samples along ``lines``: middles and normals, which rows
-    of these (m,), of each the first and how many; and which lines (m * n,) are in a picture.
+    """Fills columns and rows (views, m * n, s) of samples along ``lines``: middles and normals,
+    which rows of these (m,), of each the first and how many a view; and which lines (views, m * n)
+    are in a picture. ``regions`` (views, 4): the first pixel's place, how many rows and columns.
     """
-    (middles, normals, which, first, n), (rows, columns), (x, y) = lines, size, found
-    m, s = len(which), len(offsets)
-    for j in range(m * n):
-        row, column = which[j // n], first + j % n
-        middle, normal = middles[row, column], normals[row, column]
-        u, v = _f4(_known(middle[0] - corner[0], -1e4)), _f4(_known(middle[1] - corner[1], -1e4))
-        right, down = _f4(_known(normal[0], 0.0)), _f4(_known(normal[1], 0.0))
-        for k in range(s):
-            x[j, k], y[j, k] = u + _f4(offsets[k]) * right, v + _f4(offsets[k]) * down
-        inside[j] = (
-            min(x[j, 0], x[j, s - 1]) >= 1
-            and min(y[j, 0], y[j, s - 1]) >= 1
-            and max(x[j, 0], x[j, s - 1]) <= columns - 2
-            and max(y[j, 0], y[j, s - 1]) <= rows - 2
-        )
+    (middles, normals, which, first, n), (x, y) = lines, found
+    _, count, s = x.shape
+    for v in range(len(regions)):
+        left, top, rows, columns = regions[v]
+        for j in range(count):
+            row, column = which[j // n], first + v * n + j % n
+            middle, normal = middles[row, column], normals[row, column]
+            right, down = _f4(_known(normal[0], 0.0)), _f4(_known(normal[1], 0.0))
+            start_x = _f4(_known(middle[0] - left, -1e4))
+            start_y = _f4(_known(middle[1] - top, -1e4))
+            across, along = x[v, j], y[v, j]
+            for k in range(s):
+                across[k] = start_x + _f4(offsets[k]) * right
+                along[k] = start_y + _f4(offsets[k]) * down
+            inside[v, j] = (
+                min(across[0], across[s - 1]) >= 1
+                and min(along[0], along[s - 1]) >= 1
+                and max(across[0], across[s - 1]) <= columns - 2
+                and max(along[0], along[s - 1]) <= rows - 2
+            )
 
 
 @_compiled("void(f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,:,::1],f8,f8,f8[:,::1])")

@@ -33,7 +33,7 @@ from detector.outline.offsets import (
     row_offsets,
     thermal_offsets_far,
 )
-from detector.outline.prior import Prior, disparities_px, world_from_teats
+from detector.outline.prior import OutOfDomainError, Prior, disparities_px, world_from_teats
 from detector.outline.views import optical_views, thermal_view
 from detector.protocol import Frames
 
@@ -81,7 +81,7 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
             tried = [_seen(left, right, calibration, known, shift) for shift in shifts]
             seen = max((seen, *(one for one in tried if one.good)), key=lambda one: one.ends)
     thermal, thermal_mm = np.full((len(known), 2), np.nan), np.full(len(known), NO_THERMAL_MM)
-    with suppress(pictures.UnusableError):  # no lens, no thermal picture
+    with suppress(pictures.UnusableError, OutOfDomainError):  # no thermal picture, no lens
         warm = thermal_view(frames, calibration)
         there = seen.fitted.teats[seen.measured]
         there[:, :3] += known[seen.measured] - apexes(there)

@@ -32,8 +32,11 @@ class Rows:
 
     def take(self, which: NDArray[np.intp] | list[int]) -> Self:
         """Some of the things."""
+        rows = np.asarray(which, dtype=np.intp)
         parts: list[Any] = [getattr(self, name) for name in self.__slots__]
-        return type(self)(*(p.take(which) if isinstance(p, Rows) else p[which] for p in parts))
+        return type(self)(
+            *(p.take(rows) if isinstance(p, Rows) else p.take(rows, 0) for p in parts)
+        )
 
     def __add__(self, other: Self) -> Self:
         """All of both."""

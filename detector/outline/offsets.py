@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.geometry import Array
+from detector.geometry import Array, or_zero
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import CameraView, OutlineEdges, look, squares, usual
@@ -29,11 +29,8 @@ _LEAST_INFORMATION = 15.0  # of an outline: sd 0.26 px; one far off counts for l
 
 def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
     """Rows px (m,) by which the right picture's edges are off, each teat free; their weights."""
-    at, seen, weight = (
-        slice(len(FINE_OUTLINE.part), 2 * len(FINE_OUTLINE.part)),
-        fitted.seen,
-        fitted.weight,
-    )
+    n, seen, weight = len(FINE_OUTLINE.part), fitted.seen, fitted.weight
+    at = slice(n, 2 * n)
     off, down = np.where(weight > 0, seen.offset_px, 0.0), np.zeros_like(weight)
     down[:, at] = np.where(weight[:, at] > 0, seen.normals[:, at, 1], 0.0)
     # what moving the teat explains of rows and of edges
@@ -53,7 +50,7 @@ def thermal_offsets(seen: OutlineEdges, hidden: NDArray[np.bool_]) -> tuple[Arra
     clear = np.isfinite(off) & (seen.clarity[:, at] > CLEAR) & ~hidden[:, at]
     weight = np.where(clear, 1.0 / (seen.sd_px[:, at] ** 2 + _EDGE_PX**2), 0.0)
     off = np.where(clear, off, 0.0)
-    moves = np.concatenate([np.nan_to_num(seen.normals[:, at]), np.ones((*off.shape, 1))], axis=2)
+    moves = np.concatenate([or_zero(seen.normals[:, at]), np.ones((*off.shape, 1))], axis=2)
     least = np.diag([_SHIFT_SD**-2, _SHIFT_SD**-2, _SWELL_SD**-2])
     trusted = weight
     for _ in range(3):

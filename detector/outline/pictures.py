@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from detector import outline as package
 from detector.calibration import ThermalCamera
 from detector.outline.edges import Field
 from detector.protocol import Frames
 
 _GREY = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
-
-
 _GROUPED = 0.01  # of differences that are one number: intensities are whole
+_EVERY = 3  # of so many pixels in either direction one tells of noise
 BARN_C = (-60.0, 150.0)  # the middle of a barn's picture; raw counts read as -191 degC
 
 
@@ -42,22 +42,20 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
         _check_size(kelvin, camera.sensor_size, "radiometric thermal")
         if not np.isfinite(kelvin).all():
             raise UnusableError("the radiometric thermal picture has pixels that are no numbers")
-        middle_c = float(np.median(kelvin)) - 273.15
+        warm = np.ascontiguousarray(kelvin, dtype=np.float32)
+        middle_c = median(warm) - 273.15
         if not BARN_C[0] <= middle_c <= BARN_C[1]:
             what = f"the radiometric thermal picture reads {middle_c:.0f} degC in the middle of all"
             raise UnusableError(f"{what}: its counts are no hundredths of a kelvin")
-        return np.ascontiguousarray(kelvin, dtype=np.float32)
+        return warm
     if frames.thermal is None:
         raise UnusableError("there is no thermal picture, which shows what is as warm as a teat")
     grey = _grey(frames.thermal, "thermal")
     _check_size(grey, camera.image_size, "thermal")
     upright = grey[:, ::-1] if camera.mirrored else grey
-    field = cv2.resize(
-        np.ascontiguousarray(upright, dtype=np.float32),
-        (columns, rows),
-        interpolation=cv2.INTER_AREA,
-    )
-    return np.asarray(-field if camera.polarity == "hot_is_black" else field, dtype=np.float32)
+    field = np.ascontiguousarray(upright, dtype=np.float32)
+    small = cv2.resize(field, (columns, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(-small if camera.polarity == "hot_is_black" else small, dtype=np.float32)
 
 
 def region(
@@ -80,13 +78,21 @@ def noise_of(field: Field) -> float:
     """Robust noise sd of intensities, from second differences (Immerkaer 1996). Of whole grey
     levels the median is that of a step's share, so that it doesn't hang on the region's rim.
     """
-    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    second = np.abs(cv2.filter2D(field, cv2.CV_32F, mask)[::3, ::3])
+    second = steepness(field, second=True)
     middle = median(second)
     below, same = np.count_nonzero(second < middle), np.count_nonzero(second == middle)
     if same > _GROUPED * second.size:
         middle += (0.5 * second.size - below) / same - 0.5
     return max(middle / (0.6745 * 6.0), 0.05)
+
+
+def steepness(field: Field, *, second: bool) -> Field:
+    """Lengths of gradients, or sizes of ``second`` differences, in every third row and column:
+    enough for a median.
+    """
+    found = np.empty([-(-side // _EVERY) for side in field.shape], dtype=np.float32)
+    package.kernels.steepness(field, _EVERY, second, found)
+    return found
 
 
 def median(values: NDArray[Any]) -> float:

@@ -74,17 +74,23 @@ def disparities_px(points_mm: Array, calibration: Calibration) -> Array:
     return np.asarray(calibration.right.fc[0] * calibration.baseline_mm / depth)
 
 
-@lru_cache(maxsize=16)
-def depths_seen_mm(calibration: Calibration, prior: Prior) -> tuple[float, float]:
-    """From where to where along the thermal camera's axis all three cameras see one place. Raises
-    OutOfDomainError for a rig on which teats can't be fitted.
-    """
+def thermal_camera(calibration: Calibration) -> tuple[Camera, Motion]:
+    """Its lens, and the right camera's frame in its own. Raises OutOfDomainError."""
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right
     if lens is None or pose is None:
         raise OutOfDomainError(
             "the calibration has no lens and pose of the thermal camera, by which a place in"
             " space has one in its picture"
         )
+    return lens, pose
+
+
+@lru_cache(maxsize=16)
+def depths_seen_mm(calibration: Calibration, prior: Prior) -> tuple[float, float]:
+    """From where to where along the thermal camera's axis all three cameras see one place. Raises
+    OutOfDomainError for a rig on which teats can't be fitted.
+    """
+    lens, pose = thermal_camera(calibration)
     steep = np.degrees(np.arcsin(abs(right_from_teats(calibration).R[2, 1])))
     if steep > prior.steepest_deg:
         raise OutOfDomainError(

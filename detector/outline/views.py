@@ -12,7 +12,7 @@ from detector.geometry import Array, Camera
 from detector.outline import pictures
 from detector.outline.edges import Profile
 from detector.outline.fit import CameraView
-from detector.outline.prior import right_from_teats
+from detector.outline.prior import right_from_teats, thermal_camera
 from detector.protocol import Frames
 
 OPTICAL_ROUGH = Profile(7.0, 1.0, 5.0, 0.5, 1.2, limb=False, pull_px=4.0)
@@ -46,15 +46,9 @@ def optical_views(
 
 
 def thermal_view(frames: Frames, calibration: Calibration) -> CameraView:
-    """The thermal picture on its sensor's grid, whole. Raises UnusableError."""
+    """The thermal picture on its sensor's grid, whole. Raises UnusableError, OutOfDomainError."""
     warm = pictures.thermal(frames, calibration.thermal)
-    camera, motion = calibration.thermal, calibration.thermal_from_right
-    lens = camera.lens
-    if lens is None or motion is None:
-        raise pictures.UnusableError(
-            "the calibration has no lens and pose of the thermal camera, by which a place in"
-            " space has one in its picture"
-        )
+    camera, (lens, motion) = calibration.thermal, thermal_camera(calibration)
     size, down = (
         delivered / sensor
         for delivered, sensor in zip(camera.image_size, camera.sensor_size, strict=True)

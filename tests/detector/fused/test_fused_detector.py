@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,7 +52,7 @@ def covariance(teat: Teat) -> Array:
 
 def test_it_is_a_detector() -> None:
     detector: Detector = FusedDetector()
-    assert (detector.name, detector.version) == ("fused", "28")
+    assert (detector.name, detector.version) == ("fused", "29")
     assert detector.parameters["prior"]["radius_mm"] == 11.0
     assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
@@ -160,3 +164,29 @@ def test_frames_without_teats(draw_scene: Draw, udder: list[Body], rig: Calibrat
     frames = draw_scene(udder)
     for name, (changes, words) in odd_frames(frames).items():
         assert words in refused(FusedDetector().detect(replace(frames, **changes), rig)), name
+
+
+PAGES = """\
+import pickle, resource, sys
+from detector.fused.detector import FusedDetector
+rig, *sets = pickle.load(open(sys.argv[1], "rb"))
+counts = []
+for frames in sets:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    assert len(FusedDetector().detect(frames, rig).teats) == 4
+    counts.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+print(*counts)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc is asked of")
+def test_memory_is_kept_from_one_frame_set_to_the_next(
+    tmp_path: Path, draw_scene: Draw, udder: list[Body], rig: Calibration
+) -> None:
+    sets, file = [draw_scene(udder, seed=seed) for seed in range(4)], tmp_path / "sets.pickle"
+    file.write_bytes(pickle.dumps((rig, *sets)))
+    asked = [sys.executable, "-c", PAGES, str(file)]
+    answer = subprocess.run(asked, capture_output=True, text=True, check=True, timeout=600)
+    _, _, *later = map(int, answer.stdout.split())
+    assert max(later) < 500  # pages; some 2 000 without
