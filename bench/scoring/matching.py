@@ -27,6 +27,7 @@ GATE_CEILING_MM = 25.0
 LEAST_SPACING_MM = 5.0
 
 Points = list[list[float]]
+Pairs = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +60,9 @@ class Counts:
 class Match(NamedTuple):
     """The assignment of one scene: (found, truth) indices in order of truth."""
 
-    pairs: tuple[tuple[int, int], ...]
+    pairs: Pairs
     distances_mm: tuple[float, ...]
-    hidden_pairs: tuple[tuple[int, int], ...]
+    hidden_pairs: Pairs
     missed: tuple[int, ...]
     false: tuple[int, ...]
     hidden: int
@@ -118,58 +119,60 @@ def match(
     )
 
 
-@lru_cache(maxsize=256)
-def _pair(found: int, truth: int) -> tuple[int, int]:
-    """One object for equal pairs: 100 000 scores hold a handful of them."""
-    return found, truth
+# what follows from which pairs are within the gate: 100 000 scores hold a handful of cases
+@lru_cache(maxsize=1024)
+def _contended(pairs: Pairs) -> bool:
+    """Whether a finding or a teat is in two of the pairs."""
+    return any(len(set(of)) < len(pairs) for of in zip(*pairs, strict=True))
 
 
-def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Match:
+@lru_cache(maxsize=1024)
+def _told_apart(
+    answers: Pairs, seen: tuple[bool, ...], findings: int
+) -> tuple[Pairs, Pairs, tuple[int, ...], tuple[int, ...]]:
+    """Pairs on visible teats, those on hidden ones, teats that were missed, and false findings."""
+    used, found = {i for i, _ in answers}, {j for _, j in answers}
+    return (
+        tuple((i, j) for i, j in answers if seen[j]),
+        tuple((i, j) for i, j in answers if not seen[j]),
+        tuple(j for j, visible in enumerate(seen) if visible and j not in found),
+        tuple(i for i in range(findings) if i not in used),
+    )
+
+
+def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float) -> Match:
     """`match` of points and flags that are checked already."""
     if not 0.0 < gate_mm < inf:
         raise ValueError(f"gate: {gate_mm} mm is not above 0 and finite; use gate_mm(truth)")
-    within = {
-        (i, j): d
-        for j, b in enumerate(truth)
-        for i, a in enumerate(found)
-        if -gate_mm <= a[0] - b[0] <= gate_mm and (d := dist(a, b)) <= gate_mm  # most: far in x
-    }
-    answers = {j: i for i, j in within}  # in order of truth, as the pairs were looked at
-    if not len(set(answers.values())) == len(answers) == len(within):  # they contend
+    within: dict[tuple[int, int], float] = {}
+    near_mm = 1.001 * gate_mm
+    for j, b in enumerate(truth):
+        low, high = b[0] - near_mm, b[0] + near_mm
+        for i, a in enumerate(found):
+            if low <= a[0] <= high and (d := dist(a, b)) <= gate_mm:  # most are far in x
+                within[i, j] = d
+    answers = tuple(within)  # in order of truth, as the pairs were looked at
+    if _contended(answers):
         from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
         gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate_mm**2) - gate_mm**2)
         rows, cols = linear_sum_assignment(gain)
         chosen = sorted(zip(cols.tolist(), rows.tolist(), strict=True))
-        answers = {j: i for j, i in chosen if (i, j) in within}
-    pairs: list[tuple[int, int]] = []
-    hidden_pairs: list[tuple[int, int]] = []
-    missed = []
-    for j, visible in enumerate(seen):
-        if j in answers:
-            (pairs if visible else hidden_pairs).append(_pair(answers[j], j))
-        elif visible:
-            missed.append(j)
-    on_teats = set(answers.values())
-    return Match(
-        pairs=tuple(pairs),
-        distances_mm=tuple([within[pair] for pair in pairs]),
-        hidden_pairs=tuple(hidden_pairs),
-        missed=tuple(missed),
-        false=tuple([i for i in range(len(found)) if i not in on_teats]),
-        hidden=seen.count(False),
-        gate_mm=float(gate_mm),
-    )
+        answers = tuple((i, j) for j, i in chosen if (i, j) in within)
+    pairs, hidden_pairs, missed, false = _told_apart(answers, seen, len(found))
+    distances = tuple([within[pair] for pair in pairs])
+    hidden = seen.count(False)
+    return Match(pairs, distances, hidden_pairs, missed, false, hidden, float(gate_mm))
 
 
-def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
+def as_flags(visible: npt.ArrayLike, teats: int) -> tuple[bool, ...]:
     """A flag for each teat. Raises ValueError for another number of them."""
     given = np.asarray(visible)
     if given.size == 0 and teats == 0:
-        return []
+        return ()
     if given.shape != (teats,):
         raise ValueError(
             f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}"
         )
-    return [bool(flag) for flag in given.tolist()]
+    return tuple(map(bool, given.tolist()))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isfinite
 from operator import attrgetter
 from typing import Any
@@ -24,7 +25,7 @@ import numpy.typing as npt
 from bench.scoring.errors import ErrorSummary, Floats, as_points, summarise
 from bench.scoring.guard_band import acceptance_limit_mm, farthest_mm, refusal_limit_mm
 from bench.scoring.looks import FIRST, Looks, RateTest, allowed_leak
-from bench.scoring.matching import Counts, Match, as_flags, assign, counted, gate_mm
+from bench.scoring.matching import Counts, Match, Pairs, as_flags, assign, counted, gate_mm
 from bench.scoring.rates import Rate, pose_successes
 from bench.scoring.sample_size import failures_allowed, shown_error_mm
 
@@ -132,8 +133,8 @@ def score_scene(
         )
     answers, ends = found.tolist(), truth.tolist()
     result = assign(answers, ends, as_flags(visible, len(ends)), gate_mm(ends))
-    matched = [(answers[i], ends[j]) for i, j in result.pairs]
-    errors = np.array([(x - a, y - b, z - c) for (x, y, z), (a, b, c) in matched])
+    of_found, of_truth = _indices(result.pairs)
+    errors = found.take(of_found, 0) - truth.take(of_truth, 0)
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
     accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
     sure = -1.0 if accept is None else accept
@@ -152,6 +153,13 @@ def score_scene(
         doubtful=tuple(doubtful),
         hidden_claimed=hidden_claimed,
     )
+
+
+@lru_cache(maxsize=1024)
+def _indices(pairs: Pairs) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """The rows of the pairs in an array of findings, and in one of teats."""
+    of_found, of_truth = np.array(pairs, dtype=np.intp).reshape(-1, 2).T.copy()
+    return of_found, of_truth
 
 
 def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
@@ -186,7 +194,6 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
 
 
 def _frozen(errors: Floats) -> Floats:
-    errors = errors.reshape(-1, 3)
     errors.setflags(write=False)
     return errors
 
