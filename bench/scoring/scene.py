@@ -136,10 +136,11 @@ def score_scene(
     of_found, of_truth = _indices(result.pairs)
     errors = found.take(of_found, 0) - truth.take(of_truth, 0)
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
-    accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
+    accept = acceptance_limit_mm(limit_mm, u_mm)
     sure = -1.0 if accept is None else accept
     doubtful: list[int] = []
     if largest > sure:
+        refuse = refusal_limit_mm(limit_mm, u_mm)
         near = zip(result.pairs, result.distances_mm, strict=True)
         doubtful = [j for (_, j), d in near if sure < d < refuse]
     return SceneScore(
