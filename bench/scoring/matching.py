@@ -114,9 +114,10 @@ def match(
     a false finding. Raises ValueError on wrong shapes, values not finite, or a gate not above 0.
     """
     truth = as_points(truth_mm, "truth").tolist()
-    return assign(
-        as_points(found_mm, "found").tolist(), truth, as_flags(visible, len(truth)), gate_mm
-    )
+    found, seen = as_points(found_mm, "found").tolist(), as_flags(visible, len(truth))
+    if not 0.0 < gate_mm < inf:
+        raise ValueError(f"gate: {gate_mm} mm is not above 0 and finite; use gate_mm(truth)")
+    return assign(found, truth, seen, float(gate_mm))
 
 
 # what follows from which pairs are within the gate: 100 000 scores hold a handful of cases
@@ -141,29 +142,31 @@ def _told_apart(
 
 
 def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float) -> Match:
-    """`match` of points and flags that are checked already."""
-    if not 0.0 < gate_mm < inf:
-        raise ValueError(f"gate: {gate_mm} mm is not above 0 and finite; use gate_mm(truth)")
-    within: dict[tuple[int, int], float] = {}
+    """`match` of what is checked already."""
+    within: list[tuple[int, int]] = []  # in order of truth
+    distances: list[float] = []
     near_mm = 1.001 * gate_mm
     for j, b in enumerate(truth):
         low, high = b[0] - near_mm, b[0] + near_mm
         for i, a in enumerate(found):
             if low <= a[0] <= high and (d := dist(a, b)) <= gate_mm:  # most are far in x
-                within[i, j] = d
-    answers = tuple(within)  # in order of truth, as the pairs were looked at
+                within.append((i, j))
+                distances.append(d)
+    answers = tuple(within)
     if _contended(answers):
         from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
         gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate_mm**2) - gate_mm**2)
         rows, cols = linear_sum_assignment(gain)
-        chosen = sorted(zip(cols.tolist(), rows.tolist(), strict=True))
-        answers = tuple((i, j) for j, i in chosen if (i, j) in within)
+        best = set(zip(rows.tolist(), cols.tolist(), strict=True))
+        distances = [d for pair, d in zip(answers, distances, strict=True) if pair in best]
+        answers = tuple(pair for pair in answers if pair in best)
     pairs, hidden_pairs, missed, false = _told_apart(answers, seen, len(found))
-    distances = tuple([within[pair] for pair in pairs])
+    if hidden_pairs:
+        distances = [d for (_, j), d in zip(answers, distances, strict=True) if seen[j]]
     hidden = seen.count(False)
-    return Match(pairs, distances, hidden_pairs, missed, false, hidden, float(gate_mm))
+    return Match(pairs, tuple(distances), hidden_pairs, missed, false, hidden, gate_mm)
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> tuple[bool, ...]:

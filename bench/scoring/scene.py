@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isfinite
+from math import inf
 from operator import attrgetter
 from typing import Any
 
@@ -122,7 +122,7 @@ def score_scene(
     along an axis. Raises ValueError on impossible input.
     """
     found, truth = as_points(found_mm, "found"), as_points(truth_mm, "truth")
-    if not (isfinite(seconds) and seconds >= 0.0):
+    if not 0.0 <= seconds < inf:
         raise ValueError(
             f"seconds: {seconds} must be finite and not negative; a detection that timed out took"
             " its time limit or more"
