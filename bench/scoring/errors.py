@@ -35,14 +35,14 @@ def as_points(value: npt.ArrayLike, name: str) -> Floats:
             f"{name}: expected points of shape (n, 3) in mm, got shape {points.shape}; a single"
             " point is [[x, y, z]]"
         )
+    # the sum of squares is one look where all is well; of many points, threads of BLAS make it,
+    # which go on for tens of milliseconds after it
+    if points.size <= FEW and isfinite(np.vdot(points, points)):
+        return points
     return _finite(points, f"{name}: point")
 
 
 def _finite(values: Floats, what: str) -> Floats:
-    # the sum of squares is one look where all is well; of many values, threads of BLAS make it,
-    # which go on for tens of milliseconds after it
-    if values.size <= FEW and isfinite(np.vdot(values, values)):
-        return values
     if not np.isfinite(values).all():
         row = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise ValueError(
