@@ -172,9 +172,9 @@ def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float)
 def as_flags(visible: npt.ArrayLike, teats: int) -> tuple[bool, ...]:
     """A flag for each teat. Raises ValueError for another number of them."""
     given = np.asarray(visible)
-    if given.size == 0 and teats == 0:
-        return ()
     if given.shape != (teats,):
+        if given.size == 0 and teats == 0:
+            return ()
         raise ValueError(
             f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}"
         )

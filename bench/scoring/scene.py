@@ -135,6 +135,7 @@ def score_scene(
     result = assign(answers, ends, as_flags(visible, len(ends)), gate_mm(ends))
     of_found, of_truth = _indices(result.pairs)
     errors = found.take(of_found, 0) - truth.take(of_truth, 0)
+    errors.setflags(write=False)
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
     accept = acceptance_limit_mm(limit_mm, u_mm)
     sure = -1.0 if accept is None else accept
@@ -145,7 +146,7 @@ def score_scene(
         doubtful = [j for (_, j), d in near if sure < d < refuse]
     return SceneScore(
         match=result,
-        errors_mm=_frozen(errors),
+        errors_mm=errors,
         seconds=float(seconds),
         in_time=bool(in_time),
         limit_mm=float(limit_mm),
@@ -175,10 +176,11 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
             hidden=int(stored["hidden"]),
             gate_mm=float(stored["gate_mm"]),
         )
-        claimed = stored["hidden_claimed"]
+        claimed, errors = stored["hidden_claimed"], as_points(stored["errors_mm"], "errors_mm")
+        errors.setflags(write=False)
         return SceneScore(
             match=result,
-            errors_mm=_frozen(as_points(stored["errors_mm"], "errors_mm")),
+            errors_mm=errors,
             seconds=float(stored["seconds"]),
             in_time=bool(stored["in_time"]),
             limit_mm=float(stored["limit_mm"]),
@@ -192,11 +194,6 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
             f"stored score: key {missing} is missing; the run was stored by another version, score"
             " it again"
         ) from missing
-
-
-def _frozen(errors: Floats) -> Floats:
-    errors.setflags(write=False)
-    return errors
 
 
 @dataclass(frozen=True, slots=True)
