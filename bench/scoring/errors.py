@@ -35,8 +35,7 @@ def as_points(value: npt.ArrayLike, name: str) -> Floats:
             f"{name}: expected points of shape (n, 3) in mm, got shape {points.shape}; a single"
             " point is [[x, y, z]]"
         )
-    # the sum of squares is one look where all is well; of many points, threads of BLAS make it,
-    # which go on for tens of milliseconds after it
+    # one look where all is well; of many points it starts BLAS's threads, which spin after it
     if points.size <= FEW and isfinite(np.vdot(points, points)):
         return points
     return _finite(points, f"{name}: point")

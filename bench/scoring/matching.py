@@ -120,7 +120,7 @@ def match(
     return assign(found, truth, seen, float(gate_mm))
 
 
-# what follows from which pairs are within the gate: 100 000 scores hold a handful of cases
+# 100 000 scores hold a handful of cases of what follows
 @lru_cache(maxsize=1024)
 def _contended(pairs: Pairs) -> bool:
     """Whether a finding or a teat is in two of the pairs."""
@@ -165,8 +165,7 @@ def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float)
     pairs, hidden_pairs, missed, false = _told_apart(answers, seen, len(found))
     if hidden_pairs:
         distances = [d for (_, j), d in zip(answers, distances, strict=True) if seen[j]]
-    hidden = seen.count(False)
-    return Match(pairs, tuple(distances), hidden_pairs, missed, false, hidden, gate_mm)
+    return Match(pairs, tuple(distances), hidden_pairs, missed, false, seen.count(False), gate_mm)
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> tuple[bool, ...]:
