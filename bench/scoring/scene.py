@@ -137,23 +137,17 @@ def score_scene(
     errors = found.take(of_found, 0) - truth.take(of_truth, 0)
     errors.setflags(write=False)
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
+    success = in_time and largest <= limit_mm and not result.missed and not result.false
     accept = acceptance_limit_mm(limit_mm, u_mm)
     sure = -1.0 if accept is None else accept
-    doubtful: list[int] = []
+    doubtful: tuple[int, ...] = ()
     if largest > sure:
         refuse = refusal_limit_mm(limit_mm, u_mm)
         near = zip(result.pairs, result.distances_mm, strict=True)
-        doubtful = [j for (_, j), d in near if sure < d < refuse]
+        doubtful = tuple(j for (_, j), d in near if sure < d < refuse)
+    limit, u, right = float(limit_mm), float(u_mm), bool(success)
     return SceneScore(
-        match=result,
-        errors_mm=errors,
-        seconds=float(seconds),
-        in_time=bool(in_time),
-        limit_mm=float(limit_mm),
-        u_mm=float(u_mm),
-        success=bool(in_time and largest <= limit_mm and not result.missed and not result.false),
-        doubtful=tuple(doubtful),
-        hidden_claimed=hidden_claimed,
+        result, errors, float(seconds), bool(in_time), limit, u, right, doubtful, hidden_claimed
     )
 
 
