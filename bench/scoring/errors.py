@@ -22,7 +22,7 @@ from bench.scoring.rates import zero_failure_n
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-FEW = 1000
+FEW = 1000  # values, which BLAS takes on one thread
 
 
 def as_points(value: npt.ArrayLike, name: str) -> Floats:

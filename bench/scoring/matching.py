@@ -120,7 +120,7 @@ def match(
     return assign(found, truth, seen, float(gate_mm))
 
 
-# 100 000 scores hold a handful of cases of what follows
+# of 100 000 scores all but a handful of cases were seen before: what they share is one object
 @lru_cache(maxsize=1024)
 def _contended(pairs: Pairs) -> bool:
     """Whether a finding or a teat is in two of the pairs."""
@@ -128,7 +128,7 @@ def _contended(pairs: Pairs) -> bool:
 
 
 @lru_cache(maxsize=1024)
-def _told_apart(
+def _outcome(
     answers: Pairs, seen: tuple[bool, ...], findings: int
 ) -> tuple[Pairs, Pairs, tuple[int, ...], tuple[int, ...]]:
     """Pairs on visible teats, those on hidden ones, teats that were missed, and false findings."""
@@ -145,11 +145,11 @@ def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float)
     """`match` of what is checked already."""
     within: list[tuple[int, int]] = []  # in order of truth
     distances: list[float] = []
-    near_mm = 1.001 * gate_mm
+    near_mm = 1.001 * gate_mm  # by more than rounding; most are farther along x
     for j, b in enumerate(truth):
         low, high = b[0] - near_mm, b[0] + near_mm
         for i, a in enumerate(found):
-            if low <= a[0] <= high and (d := dist(a, b)) <= gate_mm:  # most are far in x
+            if low <= a[0] <= high and (d := dist(a, b)) <= gate_mm:
                 within.append((i, j))
                 distances.append(d)
     answers = tuple(within)
@@ -162,7 +162,7 @@ def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float)
         best = set(zip(rows.tolist(), cols.tolist(), strict=True))
         distances = [d for pair, d in zip(answers, distances, strict=True) if pair in best]
         answers = tuple(pair for pair in answers if pair in best)
-    pairs, hidden_pairs, missed, false = _told_apart(answers, seen, len(found))
+    pairs, hidden_pairs, missed, false = _outcome(answers, seen, len(found))
     if hidden_pairs:
         distances = [d for (_, j), d in zip(answers, distances, strict=True) if seen[j]]
     return Match(pairs, tuple(distances), hidden_pairs, missed, false, seen.count(False), gate_mm)
