@@ -120,52 +120,47 @@ def match(
     return assign(found, truth, seen, float(gate_mm))
 
 
-# of 100 000 scores all but a handful of cases were seen before: what they share is one object
 @lru_cache(maxsize=1024)
-def _contended(pairs: Pairs) -> bool:
-    """Whether a finding or a teat is in two of the pairs."""
-    return any(len(set(of)) < len(pairs) for of in zip(*pairs, strict=True))
-
-
-@lru_cache(maxsize=1024)
-def _outcome(
-    answers: Pairs, seen: tuple[bool, ...], findings: int
-) -> tuple[Pairs, Pairs, tuple[int, ...], tuple[int, ...]]:
-    """Pairs on visible teats, those on hidden ones, teats that were missed, and false findings."""
-    used, found = {i for i, _ in answers}, {j for _, j in answers}
-    return (
-        tuple((i, j) for i, j in answers if seen[j]),
-        tuple((i, j) for i, j in answers if not seen[j]),
-        tuple(j for j, visible in enumerate(seen) if visible and j not in found),
-        tuple(i for i in range(findings) if i not in used),
-    )
+def _shared(pairs: Pairs) -> Pairs:
+    """One object for equal ones: 100 000 scores hold a handful of them."""
+    return pairs
 
 
 def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float) -> Match:
     """`match` of what is checked already."""
     within: list[tuple[int, int]] = []  # in order of truth
     distances: list[float] = []
-    near_mm = 1.001 * gate_mm  # by more than rounding; most are farther along x
+    near_mm = 1.001 * gate_mm  # most are farther along x; rounding leaves out none
     for j, b in enumerate(truth):
         low, high = b[0] - near_mm, b[0] + near_mm
         for i, a in enumerate(found):
             if low <= a[0] <= high and (d := dist(a, b)) <= gate_mm:
                 within.append((i, j))
                 distances.append(d)
-    answers = tuple(within)
-    if _contended(answers):
+    teat_of = dict(within)
+    on = set(teat_of.values())
+    if not len(within) == len(teat_of) == len(on):  # they contend
         from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
         gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate_mm**2) - gate_mm**2)
         rows, cols = linear_sum_assignment(gain)
         best = set(zip(rows.tolist(), cols.tolist(), strict=True))
-        distances = [d for pair, d in zip(answers, distances, strict=True) if pair in best]
-        answers = tuple(pair for pair in answers if pair in best)
-    pairs, hidden_pairs, missed, false = _outcome(answers, seen, len(found))
-    if hidden_pairs:
-        distances = [d for (_, j), d in zip(answers, distances, strict=True) if seen[j]]
-    return Match(pairs, tuple(distances), hidden_pairs, missed, false, seen.count(False), gate_mm)
+        distances = [d for pair, d in zip(within, distances, strict=True) if pair in best]
+        within = [pair for pair in within if pair in best]
+        teat_of = dict(within)
+        on = set(teat_of.values())
+    missed, false, on_hidden = [], [], []
+    if len(on) < len(seen):
+        missed = [j for j, visible in enumerate(seen) if visible and j not in on]
+    if len(teat_of) < len(found):
+        false = [i for i in range(len(found)) if i not in teat_of]
+    if hidden := seen.count(False):
+        on_hidden = [pair for pair in within if not seen[pair[1]]]
+        distances = [d for (_, j), d in zip(within, distances, strict=True) if seen[j]]
+        within = [pair for pair in within if seen[pair[1]]]
+    pairs, beside = _shared(tuple(within)), tuple(on_hidden)
+    return Match(pairs, tuple(distances), beside, tuple(missed), tuple(false), hidden, gate_mm)
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> tuple[bool, ...]:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from math import inf
 from operator import attrgetter
 from typing import Any
@@ -25,7 +24,7 @@ import numpy.typing as npt
 from bench.scoring.errors import ErrorSummary, Floats, as_points, summarise
 from bench.scoring.guard_band import acceptance_limit_mm, farthest_mm, refusal_limit_mm
 from bench.scoring.looks import FIRST, Looks, RateTest, allowed_leak
-from bench.scoring.matching import Counts, Match, Pairs, as_flags, assign, counted, gate_mm
+from bench.scoring.matching import Counts, Match, as_flags, assign, counted, gate_mm
 from bench.scoring.rates import Rate, pose_successes
 from bench.scoring.sample_size import failures_allowed, shown_error_mm
 
@@ -133,8 +132,12 @@ def score_scene(
         )
     answers, ends = found.tolist(), truth.tolist()
     result = assign(answers, ends, as_flags(visible, len(ends)), gate_mm(ends))
-    of_found, of_truth = _indices(result.pairs)
-    errors = found.take(of_found, 0) - truth.take(of_truth, 0)
+    rows = []
+    for i, j in result.pairs:
+        x, y, z = answers[i]
+        a, b, c = ends[j]
+        rows.append((x - a, y - b, z - c))
+    errors = np.array(rows) if rows else np.zeros((0, 3))
     errors.setflags(write=False)
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
     success = in_time and largest <= limit_mm and not result.missed and not result.false
@@ -149,13 +152,6 @@ def score_scene(
     return SceneScore(
         result, errors, float(seconds), bool(in_time), limit, u, right, doubtful, hidden_claimed
     )
-
-
-@lru_cache(maxsize=1024)
-def _indices(pairs: Pairs) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """The rows of the pairs in an array of findings, and in one of teats."""
-    of_found, of_truth = np.array(pairs, dtype=np.intp).reshape(-1, 2).T.copy()
-    return of_found, of_truth
 
 
 def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
