@@ -139,7 +139,7 @@ def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float)
                 distances.append(d)
     teat_of = dict(within)
     on = set(teat_of.values())
-    if not len(within) == len(teat_of) == len(on):  # they contend
+    if len(on) < len(within):  # they contend
         from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
