@@ -145,16 +145,9 @@ def paired_difference(
     low, high = -upper_bound(-differences, limit, tail), upper_bound(differences, limit, tail)
     p_value = sign_flip_p(differences, seed)
     changes = np.abs(as_values(new, "new errors") - as_values(old, "old errors"))
-    return PairedDifference(
-        len(differences),
-        float(differences.mean()),
-        low,
-        high,
-        p_value,
-        confidence,
-        capped=int((changes > limit).sum()),
-        rows=len(changes),
-    )
+    figures = float(differences.mean()), low, high, p_value, confidence
+    capped = int((changes > limit).sum())
+    return PairedDifference(len(differences), *figures, capped=capped, rows=len(changes))
 
 
 def upper_bound(values: Floats, limit: float, confidence: float) -> float:
@@ -538,10 +531,9 @@ def _grown_in(situations: Sequence[ComparisonRow], margin_mm: float) -> tuple[li
             shown.append(f"{grew}, more than the margin of {margin_mm:g} mm (adjusted p = {p:.3f})")
         else:
             n, asked = row.radial.poses, len(situations)
-            least = fewest_that_show(asked)
-            few = f"{plural(n, 'pose')} of it can show nothing by themselves: {least} can"
-            chance = f"{n} poses don't distinguish from chance: compare on more poses of it"
-            perhaps.append(f"{grew}, {f'but {few}' if n < least else f'which {chance}'}")
+            few = chance_text(n, "of it", asked)
+            chance = f"which {n} poses don't distinguish from chance: compare on more poses of it"
+            perhaps.append(f"{grew}, {few if n < fewest_that_show(asked) else chance}")
     return shown, perhaps
 
 

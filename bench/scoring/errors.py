@@ -8,8 +8,10 @@ distances have figures of their own. Percentiles are observed values, not interp
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from math import isfinite
 
 import numpy as np
@@ -20,6 +22,7 @@ from bench.scoring.rates import zero_failure_n
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+FEW = 1000  # values, which BLAS takes on one thread
 
 
 def as_points(value: npt.ArrayLike, name: str) -> Floats:
@@ -32,12 +35,14 @@ def as_points(value: npt.ArrayLike, name: str) -> Floats:
             f"{name}: expected points of shape (n, 3) in mm, got shape {points.shape}; a single"
             " point is [[x, y, z]]"
         )
+    # one look where all is well; of many points it starts BLAS's threads, which spin after it
+    if points.size <= FEW and isfinite(np.vdot(points, points)):
+        return points
     return _finite(points, f"{name}: point")
 
 
 def _finite(values: Floats, what: str) -> Floats:
-    # the sum of squares first: one look where all is well
-    if not isfinite(np.vdot(values, values)) and not np.isfinite(values).all():
+    if not np.isfinite(values).all():
         row = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise ValueError(
             f"{what} {row} is {values[row].tolist()}, which is not finite; leave out what was not"
@@ -60,7 +65,7 @@ def numbered(names: Sequence[Hashable], rows: int | None = None) -> npt.NDArray[
     """Names (n,) as numbers from 0 in order of appearance. Raises ValueError unless `rows`."""
     if rows not in (None, len(names)):
         raise ValueError(f"poses: {len(names)} names for {rows} rows; give the pose of each")
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    numbers: defaultdict[Hashable, int] = defaultdict(count().__next__)
     return np.fromiter(map(numbers.__getitem__, names), dtype=np.intp, count=len(names))
 
 

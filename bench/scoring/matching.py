@@ -27,6 +27,7 @@ GATE_CEILING_MM = 25.0
 LEAST_SPACING_MM = 5.0
 
 Points = list[list[float]]
+Pairs = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +60,9 @@ class Counts:
 class Match(NamedTuple):
     """The assignment of one scene: (found, truth) indices in order of truth."""
 
-    pairs: tuple[tuple[int, int], ...]
+    pairs: Pairs
     distances_mm: tuple[float, ...]
-    hidden_pairs: tuple[tuple[int, int], ...]
+    hidden_pairs: Pairs
     missed: tuple[int, ...]
     false: tuple[int, ...]
     hidden: int
@@ -113,63 +114,62 @@ def match(
     a false finding. Raises ValueError on wrong shapes, values not finite, or a gate not above 0.
     """
     truth = as_points(truth_mm, "truth").tolist()
-    return assign(
-        as_points(found_mm, "found").tolist(), truth, as_flags(visible, len(truth)), gate_mm
-    )
-
-
-@lru_cache(maxsize=256)
-def _pair(found: int, truth: int) -> tuple[int, int]:
-    """One object for equal pairs: 100 000 scores hold a handful of them."""
-    return found, truth
-
-
-def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Match:
-    """`match` of points and flags that are checked already."""
+    found, seen = as_points(found_mm, "found").tolist(), as_flags(visible, len(truth))
     if not 0.0 < gate_mm < inf:
         raise ValueError(f"gate: {gate_mm} mm is not above 0 and finite; use gate_mm(truth)")
-    within = {
-        (i, j): d
-        for j, b in enumerate(truth)
-        for i, a in enumerate(found)
-        if -gate_mm <= a[0] - b[0] <= gate_mm and (d := dist(a, b)) <= gate_mm  # most: far in x
-    }
-    answers = {j: i for i, j in within}  # in order of truth, as the pairs were looked at
-    if not len(set(answers.values())) == len(answers) == len(within):  # they contend
+    return assign(found, truth, seen, float(gate_mm))
+
+
+@lru_cache(maxsize=1024)
+def _shared(pairs: Pairs) -> Pairs:
+    """One object for equal ones: 100 000 scores hold a handful of them."""
+    return pairs
+
+
+def assign(found: Points, truth: Points, seen: tuple[bool, ...], gate_mm: float) -> Match:
+    """`match` of what is checked already."""
+    within: list[tuple[int, int]] = []  # in order of truth
+    distances: list[float] = []
+    near_mm = 1.001 * gate_mm  # most are farther along x; rounding leaves out none
+    for j, b in enumerate(truth):
+        low, high = b[0] - near_mm, b[0] + near_mm
+        for i, a in enumerate(found):
+            if low <= a[0] <= high and (d := dist(a, b)) <= gate_mm:
+                within.append((i, j))
+                distances.append(d)
+    teat_of = dict(within)
+    on = set(teat_of.values())
+    if len(on) < len(within):  # they contend
         from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
         gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate_mm**2) - gate_mm**2)
         rows, cols = linear_sum_assignment(gain)
-        chosen = sorted(zip(cols.tolist(), rows.tolist(), strict=True))
-        answers = {j: i for j, i in chosen if (i, j) in within}
-    pairs: list[tuple[int, int]] = []
-    hidden_pairs: list[tuple[int, int]] = []
-    missed = []
-    for j, visible in enumerate(seen):
-        if j in answers:
-            (pairs if visible else hidden_pairs).append(_pair(answers[j], j))
-        elif visible:
-            missed.append(j)
-    on_teats = set(answers.values())
-    return Match(
-        pairs=tuple(pairs),
-        distances_mm=tuple([within[pair] for pair in pairs]),
-        hidden_pairs=tuple(hidden_pairs),
-        missed=tuple(missed),
-        false=tuple([i for i in range(len(found)) if i not in on_teats]),
-        hidden=seen.count(False),
-        gate_mm=float(gate_mm),
-    )
+        best = set(zip(rows.tolist(), cols.tolist(), strict=True))
+        distances = [d for pair, d in zip(within, distances, strict=True) if pair in best]
+        within = [pair for pair in within if pair in best]
+        teat_of = dict(within)
+        on = set(teat_of.values())
+    missed, false, on_hidden = [], [], []
+    if len(on) < len(seen):
+        missed = [j for j, visible in enumerate(seen) if visible and j not in on]
+    if len(teat_of) < len(found):
+        false = [i for i in range(len(found)) if i not in teat_of]
+    if hidden := seen.count(False):
+        on_hidden = [pair for pair in within if not seen[pair[1]]]
+        distances = [d for (_, j), d in zip(within, distances, strict=True) if seen[j]]
+        within = [pair for pair in within if seen[pair[1]]]
+    pairs, beside = _shared(tuple(within)), tuple(on_hidden)
+    return Match(pairs, tuple(distances), beside, tuple(missed), tuple(false), hidden, gate_mm)
 
 
-def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
+def as_flags(visible: npt.ArrayLike, teats: int) -> tuple[bool, ...]:
     """A flag for each teat. Raises ValueError for another number of them."""
     given = np.asarray(visible)
-    if given.size == 0 and teats == 0:
-        return []
     if given.shape != (teats,):
+        if given.size == 0 and teats == 0:
+            return ()
         raise ValueError(
             f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}"
         )
-    return [bool(flag) for flag in given.tolist()]
+    return tuple(map(bool, given.tolist()))

@@ -87,7 +87,6 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
         )
     if lost + won < RARE:
         return 0.0
-
     discordant = np.arange(trials + 1)
     chance, share = binom.pmf(discordant, trials, lost + won), lost / (lost + won)
     # the largest smaller count that is significant; -1 for none

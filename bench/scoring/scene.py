@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf
 from operator import attrgetter
 from typing import Any
 
@@ -121,7 +121,7 @@ def score_scene(
     along an axis. Raises ValueError on impossible input.
     """
     found, truth = as_points(found_mm, "found"), as_points(truth_mm, "truth")
-    if not (isfinite(seconds) and seconds >= 0.0):
+    if not 0.0 <= seconds < inf:
         raise ValueError(
             f"seconds: {seconds} must be finite and not negative; a detection that timed out took"
             " its time limit or more"
@@ -132,25 +132,25 @@ def score_scene(
         )
     answers, ends = found.tolist(), truth.tolist()
     result = assign(answers, ends, as_flags(visible, len(ends)), gate_mm(ends))
-    matched = [(answers[i], ends[j]) for i, j in result.pairs]
-    errors = np.array([(x - a, y - b, z - c) for (x, y, z), (a, b, c) in matched])
+    rows = []
+    for i, j in result.pairs:
+        x, y, z = answers[i]
+        a, b, c = ends[j]
+        rows.append((x - a, y - b, z - c))
+    errors = np.array(rows) if rows else np.zeros((0, 3))
+    errors.setflags(write=False)
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
-    accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
+    success = in_time and largest <= limit_mm and not result.missed and not result.false
+    accept = acceptance_limit_mm(limit_mm, u_mm)
     sure = -1.0 if accept is None else accept
-    doubtful: list[int] = []
+    doubtful: tuple[int, ...] = ()
     if largest > sure:
+        refuse = refusal_limit_mm(limit_mm, u_mm)
         near = zip(result.pairs, result.distances_mm, strict=True)
-        doubtful = [j for (_, j), d in near if sure < d < refuse]
+        doubtful = tuple(j for (_, j), d in near if sure < d < refuse)
+    limit, u, right = float(limit_mm), float(u_mm), bool(success)
     return SceneScore(
-        match=result,
-        errors_mm=_frozen(errors),
-        seconds=float(seconds),
-        in_time=bool(in_time),
-        limit_mm=float(limit_mm),
-        u_mm=float(u_mm),
-        success=bool(in_time and largest <= limit_mm and not result.missed and not result.false),
-        doubtful=tuple(doubtful),
-        hidden_claimed=hidden_claimed,
+        result, errors, float(seconds), bool(in_time), limit, u, right, doubtful, hidden_claimed
     )
 
 
@@ -166,10 +166,11 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
             hidden=int(stored["hidden"]),
             gate_mm=float(stored["gate_mm"]),
         )
-        claimed = stored["hidden_claimed"]
+        claimed, errors = stored["hidden_claimed"], as_points(stored["errors_mm"], "errors_mm")
+        errors.setflags(write=False)
         return SceneScore(
             match=result,
-            errors_mm=_frozen(as_points(stored["errors_mm"], "errors_mm")),
+            errors_mm=errors,
             seconds=float(stored["seconds"]),
             in_time=bool(stored["in_time"]),
             limit_mm=float(stored["limit_mm"]),
@@ -183,12 +184,6 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
             f"stored score: key {missing} is missing; the run was stored by another version, score"
             " it again"
         ) from missing
-
-
-def _frozen(errors: Floats) -> Floats:
-    errors = errors.reshape(-1, 3)
-    errors.setflags(write=False)
-    return errors
 
 
 @dataclass(frozen=True, slots=True)

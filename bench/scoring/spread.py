@@ -334,7 +334,8 @@ def trend(
             f"trend: {len(x)} values, {len(y)} responses, {len(groups)} groups; give one of each"
             " for every row"
         )
-    group, stratum = numbered(groups), numbered(within if within is not None else [0] * len(x))
+    group = numbered(groups)
+    stratum = np.zeros(len(x), dtype=np.intp) if within is None else numbered(within)
     count = int(group.max()) + 1 if len(x) else 0
     empty = Trend("", "", len(x), count, float(np.ptp(x)) if len(x) else 0.0)
     if count < LEAST_TREND_POSES:

@@ -122,10 +122,11 @@ def test_gospa_of_one_pair_one_miss_and_one_false_finding() -> None:
     assert m.gospa_mm == pytest.approx(sqrt(25 + 200 * 2))
 
 
-def test_a_pair_beyond_the_gate_is_a_miss_and_a_false_finding() -> None:
-    m = match([[0, 0, 25.1]], [[0, 0, 0]], [True], 25.0)
+@pytest.mark.parametrize("way", np.eye(3))
+def test_a_pair_beyond_the_gate_is_a_miss_and_a_false_finding(way: Floats) -> None:
+    m = match([25.1 * way], [[0, 0, 0]], [True], 25.0)
     assert m.counts == Counts(visible=1, matched=0, missed=1, false=1)
-    assert match([[0, 0, 25.0]], [[0, 0, 0]], [True], 25.0).counts == Counts(visible=1, matched=1)
+    assert match([25.0 * way], [[0, 0, 0]], [True], 25.0).counts == Counts(visible=1, matched=1)
 
 
 @pytest.mark.parametrize("found", [[[2.0, 0, 0], [-2.0, 0, 0]], [[-2.0, 0, 0], [2.0, 0, 0]]])
@@ -172,6 +173,7 @@ def test_empty_arrays() -> None:
             r"found: expected points of shape \(n, 3\).*\(1, 2\)",
         ),
         (lambda: match([[0, np.nan, 0]], SQUARE, ALL, 25), "found: point 0 .*not finite"),
+        (lambda: match([*[[0.0] * 3] * 400, [0.0, 0.0, np.inf]], SQUARE, ALL, 25), "point 400 is"),
         (lambda: match([], SQUARE, [True], 25), "one flag for each of the 4 teats"),
         (lambda: match([], SQUARE, ALL, 0), "gate: 0 mm"),
         (

@@ -87,6 +87,18 @@ def test_errors_are_found_minus_truth_in_the_order_of_the_teats() -> None:
 
 
 @given(
+    st.lists(st.tuples(st.integers(0, 3), st.floats(0, 30)), max_size=6),
+    st.tuples(*[st.booleans()] * 4),
+)
+def test_errors_and_distances_are_those_of_the_pairs(offs: Any, visible: Any) -> None:
+    found = [TRUTH[teat] + (0.0, off_mm, 0.0) for teat, off_mm in offs]
+    s = score(found, visible)
+    apart = np.array([found[i] - TRUTH[j] for i, j in s.match.pairs]).reshape(-1, 3)
+    assert (s.errors_mm == apart).all()
+    assert s.radial_mm == pytest.approx(np.linalg.norm(apart, axis=1))
+
+
+@given(
     st.lists(st.tuples(*[st.floats(-300, 300)] * 3), max_size=6),
     st.tuples(*[st.booleans()] * 4),
     st.sampled_from([None, 0, 1]),
