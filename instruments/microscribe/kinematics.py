@@ -124,23 +124,13 @@ def _links(geometry: ArmGeometry) -> Floats:
     still = ~geometry.active
     links[still, 0] += links[still, 1]
     links[still, 1:] = 0.0
+    beta_rad = np.where(np.arange(JOINTS) == BETA_JOINT, geometry.beta_rad, 0.0)
+    (ca, cb), (sa, sb) = (turn([geometry.alpha_rad, beta_rad]) for turn in (np.cos, np.sin))
+    turned = [[cb, np.zeros(JOINTS), sb], [sa * sb, ca, -sa * cb], [-ca * sb, sa, ca * cb]]
     before = np.zeros((JOINTS, 4, 4))
-    before[:, 3, 3] = 1.0
-    before[:, :3, :3] = _turn(0, geometry.alpha_rad)
-    before[:, 0, 3] = geometry.a_mm
-    before[BETA_JOINT, :3, :3] @= _turn(1, np.array(geometry.beta_rad))
+    before[:, :3, :3] = np.moveaxis(turned, 2, 0)
+    before[:, 0, 3], before[:, 3, 3] = geometry.a_mm, 1.0
     return (before[:, None] @ links).reshape(JOINTS, 3, 16)
-
-
-def _turn(axis: int, angles_rad: Floats) -> Floats:
-    """Rotations (..., 3, 3) about x (0), y (1) or z (2)."""
-    turned = np.zeros((*angles_rad.shape, 3, 3))
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turned[..., axis, axis] = 1.0
-    turned[..., i, i] = turned[..., j, j] = np.cos(angles_rad)
-    turned[..., j, i] = np.sin(angles_rad)
-    turned[..., i, j] = -turned[..., j, i]
-    return turned
 
 
 def inverse(
