@@ -128,7 +128,7 @@ def _links(geometry: ArmGeometry) -> Floats:
     (ca, cb), (sa, sb) = (turn([geometry.alpha_rad, beta_rad]) for turn in (np.cos, np.sin))
     turned = [[cb, np.zeros(JOINTS), sb], [sa * sb, ca, -sa * cb], [-ca * sb, sa, ca * cb]]
     before = np.zeros((JOINTS, 4, 4))
-    before[:, :3, :3] = np.moveaxis(turned, 2, 0)
+    before[:, :3, :3] = np.array(turned).transpose(2, 0, 1)
     before[:, 0, 3], before[:, 3, 3] = geometry.a_mm, 1.0
     return (before[:, None] @ links).reshape(JOINTS, 3, 16)
 
@@ -183,7 +183,8 @@ def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Fl
     """Home and the best poses of a lattice over the joint ranges, each base turned to the goal."""
     poses, azimuths, reached = _lattice(geometry, tuple(home))
     azimuth = np.arctan2(goal[1], goal[0])
-    target = _target(*(v if v is None else _about_z(v, -azimuth) for v in (goal, stylus)))
+    turned = None if stylus is None else _about_z(stylus, -azimuth)
+    target = _target(_about_z(goal, -azimuth), turned)
     misses = target - reached[:, : len(target)]
     # the base turns a pose about z where its alpha is 0
     best = np.argpartition(_squares(misses[1:]), _STARTS - 2)[: _STARTS - 1] + 1

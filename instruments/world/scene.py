@@ -110,8 +110,8 @@ class Renderer:
         thermal = self.thermal.exposed(apparent_k, view.time_s, rng)
         # last, so that the others' noise is the same with and without it
         depth = self.depth.expose(view, rng) if self.depth else ()
-        eight = (grey.astype(np.uint8, copy=False) for grey in (left, right))
-        return RenderedSet(*eight, *thermal, *depth)
+        left, right = (grey.astype(np.uint8, copy=False) for grey in (left, right))
+        return RenderedSet(left, right, *thermal, *depth)
 
     def shadows(self, state: SceneState) -> ShadowMap | None:
         """The shadows on the table; kept while nothing moves."""

@@ -135,7 +135,7 @@ def test_a_picture_is_the_same_however_many_processors_draw_it() -> None:
     for threads in (1, 2, 4, 4):
         cv2.setNumThreads(threads)
         for kept in (boards.woven, backdrop._seen, optical_camera._empty, states_of._stage):
-            kept.cache_clear()  # type: ignore[attr-defined]
+            kept.cache_clear()
         eyes = small(depth=True)
         drawn.append([eyes.render(one, np.random.default_rng(3)) for one in states])
     for one, *others in zip(*drawn, strict=True):
