@@ -101,7 +101,7 @@ class Renderer:
         noise, noise_right = self.left.noise(rng), self.right.noise(rng)
         # what the optical cameras share comes first: each would weave it anew
         woven = (patch.woven for patch in patches(view.backdrop) if patch.texture > 0.0)
-        shadows, *_ = _at_once(partial(self.shadows, view), *woven)
+        *_, shadows = _at_once(*woven, partial(self.shadows, view))
         left, right, apparent_k = _at_once(
             partial(self.left.exposed, view, shadows, noise),
             partial(self.right.exposed, view, shadows, noise_right),
@@ -132,15 +132,17 @@ class Renderer:
 
 
 def _at_once(*works: Callable[[], Any]) -> list[Any]:
-    """What each gives, in their order: in threads, where OpenCV may use several processors. All
-    are over when this returns, or raises the first one's error. They share what is kept in caches,
-    where two may make the same at once, and change nothing that another reads.
+    """What each gives, in their order: the first in this thread, the others beside it where OpenCV
+    may use several processors. All are over when this returns, or raises the first one's error.
+    They share what is kept in caches, where two may make the same at once, and change nothing that
+    another reads.
     """
-    threads = min(cv2.getNumThreads(), len(works))
-    if threads < 2:
+    beside = min(cv2.getNumThreads(), len(works)) - 1
+    if beside < 1:
         return [work() for work in works]
-    with ThreadPoolExecutor(threads) as pool:
-        return [each.result() for each in [pool.submit(work) for work in works]]
+    with ThreadPoolExecutor(beside) as pool:
+        others = [pool.submit(work) for work in works[1:]]
+        return [works[0](), *(each.result() for each in others)]
 
 
 RINGS = np.meshgrid(np.radians((30.0, 60.0, 85.0)), np.arange(16) * 2.0 * np.pi / 16)
