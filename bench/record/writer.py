@@ -37,6 +37,7 @@ from textfiles.whole import in_turn, new_folders, sync_folder
 Tables = Sequence[tuple[str, Sequence[Row]]]
 FLUSH_EVERY = 60  # rows that may wait: one sync a minute of run time for the bath's readings
 MOST_TRIES = 1000  # of a free name
+M_ARENA_MAX = -8  # of glibc's malloc.h
 LONGEST_NAME = 60  # bytes of the name of a script or recording in that of a run's folder
 URGENT = frozenset({"trip", "fault", "aborted", "safe", "end"})
 # what SQLite raises of a disk or database that takes nothing more, not of a wrong row
@@ -58,6 +59,8 @@ class Store:
 
     def __init__(self, folder: Path, session: int | None = None) -> None:
         self.folder = folder
+        if self.keeps_pictures:  # threads that draw would fragment heaps of their own (mallopt(3))
+            _of_glibc("mallopt", M_ARENA_MAX, 1)
         # the watch writes on the clock's thread, all others on the main one
         self._lock = threading.RLock()
         self._steps = 0
@@ -312,12 +315,16 @@ def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
 
 
 def release_memory() -> None:
-    """Return what a written trial frees to the system, where the C library is glibc
+    """Return what written trials free to the system, where the C library is glibc
     (malloc_trim(3)): frames fragment its heap, which would grow with each trial.
     """
+    _of_glibc("malloc_trim", 0)
+
+
+def _of_glibc(function: str, *given: int) -> None:
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).malloc_trim(0)
+            getattr(ctypes.CDLL(None), function)(*given)
 
 
 def _place(folder: Path) -> tuple[tuple[int, int], ...]:

@@ -65,6 +65,7 @@ from instruments.world.phantom import PlatePose
 
 REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
 URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
+KEPT_FOR_TRIALS = 10  # memory that a trial freed: all anew costs a third of drawing a frame set
 Settled = Callable[[Sequence[str], bool], None]
 
 
@@ -555,10 +556,9 @@ def write_trial(
         answers, truth, limit_mm=rules.visible_within_mm, time_limit_s=rules.time_limit_s
     )
     detections, found = detection_tables(trial_id, answers)
-    images = frames.pictures | stage_pictures(answers)
-    pictures = store.frames(trial_id, images, frames.exposed_s)
+    pictures = store.frames(trial_id, frames.pictures | stage_pictures(answers), frames.exposed_s)
     store.finished(TrialRecord(head, pictures, touches, truth_rows, detections, found, scores))
-    if store.keeps_pictures:
+    if store.keeps_pictures and int(str(head["number"])) % KEPT_FOR_TRIALS == 0:
         release_memory()
 
 

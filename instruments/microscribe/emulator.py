@@ -41,7 +41,8 @@ CATCH_UP_S = 0.1
 FASTEST_BAUD = 115200  # no stream is faster than this carries it
 _BITS_PER_BYTE = 10
 _POSES = 4000
-_BLOCK = 1024
+_BLOCK = 1024  # packets whose tremor is drawn at once
+_AT_ONCE = 64  # of them, whose counts are worked out at once
 _ON_PEG = (0,) * JOINTS  # no offset: the arm was switched on with its stylus there
 _PARAMETERS, _TREMOR, _CONTACTS = 0, 1, 3  # streams of chance; 2 is that of the faults
 
@@ -93,9 +94,9 @@ class KinematicError:
         return error
 
     def _raw(self, angles_rad: Floats) -> Floats:
-        real, _ = self._real.forward_angles(angles_rad + self._zeros_rad)
-        stored, _ = self.stored.forward_angles(angles_rad)
-        return real - stored
+        _, real = self._real.frames(angles_rad + self._zeros_rad)
+        _, stored = self.stored.frames(angles_rad)
+        return real[:, -1] - stored[:, -1]
 
 
 _error_of = lru_cache(maxsize=8)(KinematicError)
@@ -124,15 +125,17 @@ def _solved(error: KinematicError, home: tuple[int, ...], *at: float) -> Pose:
     goal = np.array(at[:3]) + error.at(geometry.angles(counts))[0]
     # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
     for _ in range(3):
-        tip, _ = geometry.forward(counts)
-        counts = counts + _counts_per_mm(geometry, counts) @ (goal - tip[0])
-    return Pose(counts, _counts_per_mm(geometry, counts))
+        tip, counts_per_mm = _tip_at(geometry, counts)
+        counts = counts + counts_per_mm @ (goal - tip)
+    return Pose(counts, _tip_at(geometry, counts)[1])
 
 
-def _counts_per_mm(geometry: ArmGeometry, counts: Floats) -> Floats:
-    slopes = geometry.jacobian(geometry.angles(counts))[0, :3]
+def _tip_at(geometry: ArmGeometry, counts: Floats) -> tuple[Floats, Floats]:
+    """The tip (3,) mm, and the least motion of the counts that moves it, (6, 3) by mm."""
+    angles = geometry.angles(counts)
+    _, origins = geometry.frames(angles)
     per_rad = geometry.turns / (2.0 * np.pi)
-    return np.asarray(np.linalg.pinv(slopes) * per_rad[:, None])
+    return origins[0, -1], np.linalg.pinv(geometry.jacobian(angles)[0, :3]) * per_rad[:, None]
 
 
 class Mechanics:
@@ -157,10 +160,11 @@ class Mechanics:
         home_rad = tuple(geometry.angles(home)[0].tolist())
         self._error = _error_of(geometry, home_rad, seed=seed, accuracy_mm=accuracy_mm)
         self._held: tuple[bytes, Pose] | None = None
-        self._block: tuple[Pose, int, tuple[int, ...], list[list[int]]] | None = None
+        self._part: tuple[Pose, int, tuple[int, ...], list[list[int]]] | None = None
+        self._shaken: tuple[int, Floats] = -1, np.empty((0, 3))
 
     def counts(self, packet: int, offset: tuple[int, ...] = _ON_PEG) -> Sequence[int]:
-        """Counts (6,) of a packet from ``offset`` on, by the thousand. Raises OutOfReachError."""
+        """Counts (6,) of a packet from ``offset`` on. Raises OutOfReachError."""
         target = self._hand.arm_target()
         if target is None:
             return [sum(both) % COUNT_MODULUS for both in zip(self._home, offset, strict=True)]
@@ -169,12 +173,16 @@ class Mechanics:
         if self._held is None or self._held[0] != key:
             self._held = key, self.solve(point_mm, direction)
         pose = self._held[1]
-        block, row = divmod(packet, _BLOCK)
-        if self._block is None or self._block[:3] != (pose, block, offset):
-            counts = np.rint(pose.counts + self.tremor(block) @ pose.counts_per_mm.T)
+        part, row = divmod(packet, _AT_ONCE)
+        if self._part is None or self._part[:3] != (pose, part, offset):
+            block, first = divmod(part * _AT_ONCE, _BLOCK)
+            if self._shaken[0] != block:
+                self._shaken = block, self.tremor(block)
+            off_mm = self._shaken[1][first : first + _AT_ONCE]
+            counts = np.rint(pose.counts + off_mm @ pose.counts_per_mm.T)
             whole = (counts.astype(np.int64) + offset) % COUNT_MODULUS
-            self._block = pose, block, offset, whole.tolist()
-        return self._block[3][row]
+            self._part = pose, part, offset, whole.tolist()
+        return self._part[3][row]
 
     def solve(self, point_mm: Floats, direction: Floats | None) -> Pose:
         """The pose for this target, the arm's inaccuracy included. Raises OutOfReachError."""

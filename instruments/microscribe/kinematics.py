@@ -85,54 +85,52 @@ class ArmGeometry:
 
     def frames(self, angles_rad: Floats) -> tuple[Floats, Floats]:
         """Rotations (n, 6, 3, 3) and origins (n, 6, 3) mm of the joints, for angles (n, 6) rad."""
-        turns = _fixed(self) @ _turn(2, angles_rad * self.active)
-        rotations, origins = np.empty_like(turns), np.empty_like(turns[..., 0])
-        rotation, origin = np.eye(3), np.zeros(3)
-        for joint in range(JOINTS):
-            origin = origin + rotation[..., 0] * self.a_mm[joint]
-            rotation = rotation @ turns[:, joint]
-            origin = origin + rotation[..., 2] * self.d_mm[joint]
-            rotations[:, joint], origins[:, joint] = rotation, origin
-        return rotations, origins
+        terms = np.ones((JOINTS, len(angles_rad), 3))
+        np.cos(angles_rad.T, out=terms[..., 1])
+        np.sin(angles_rad.T, out=terms[..., 2])
+        frames = (terms @ _links(self)).reshape(JOINTS, -1, 4, 4)
+        for joint in range(1, JOINTS):
+            frames[joint] = frames[joint - 1] @ frames[joint]
+        by_pose = frames.transpose(1, 0, 2, 3)
+        return by_pose[..., :3, :3], by_pose[..., :3, 3]
 
     def jacobian(self, angles_rad: Floats) -> Floats:
         """(n, 6, 6) for angles (n, 6) rad: rows tip (mm/rad) then axis (1/rad), columns joints."""
         return self._slopes(*self.frames(angles_rad))
 
-    def _slopes(self, rotations: Floats, origins: Floats) -> Floats:
+    def _slopes(self, rotations: Floats, origins: Floats, axis_weight: float = 1.0) -> Floats:
         # RotZ leaves a joint's own axis alone, so its frame's third column is that axis
-        axes = rotations[..., 2]
-        tips = _cross(axes, origins[:, -1:, :] - origins)
-        styli = _cross(axes, rotations[:, -1:, :, 2])
-        return np.concatenate([tips, styli], axis=2).transpose(0, 2, 1) * self.active
+        axes = rotations[..., 2] * self.active[:, None]
+        levers = np.empty((2, *axes.shape))
+        np.subtract(origins[:, -1:], origins, out=levers[0])
+        np.multiply(rotations[:, -1:, :, 2], axis_weight, out=levers[1])
+        slopes = np.empty((len(axes), 2, 3, JOINTS))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # as np.cross, in a third of its time
+            product = axes[..., j] * levers[..., k] - axes[..., k] * levers[..., j]
+            slopes[:, :, i] = product.swapaxes(0, 1)
+        return slopes.reshape(-1, 6, JOINTS)
 
 
 _Triple = tuple[Floats, Floats, Floats]
 
 
 @lru_cache(maxsize=8)
-def _fixed(geometry: ArmGeometry) -> Floats:
-    """RotX(alpha) RotY(beta) of each joint, (6, 3, 3)."""
-    fixed = _turn(0, geometry.alpha_rad)
-    fixed[BETA_JOINT] = fixed[BETA_JOINT] @ _turn(1, np.array(geometry.beta_rad))
-    return fixed
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """As numpy's, which takes three times as long for a few rows."""
-    on, back = [1, 2, 0], [2, 0, 1]
-    return a[..., on] * b[..., back] - a[..., back] * b[..., on]
-
-
-def _turn(axis: int, angles_rad: Floats) -> Floats:
-    """Rotations (..., 3, 3) about x (0), y (1) or z (2)."""
-    turned = np.zeros((*angles_rad.shape, 3, 3))
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turned[..., axis, axis] = 1.0
-    turned[..., i, i] = turned[..., j, j] = np.cos(angles_rad)
-    turned[..., j, i] = np.sin(angles_rad)
-    turned[..., i, j] = -turned[..., j, i]
-    return turned
+def _links(geometry: ArmGeometry) -> Floats:
+    """Each joint's motion (4, 4) by its angle, as 1, cos and sin times (6, 3, 16)."""
+    links = np.zeros((JOINTS, 3, 4, 4))
+    links[:, 0, 2, 2] = links[:, 0, 3, 3] = links[:, 1, 0, 0] = links[:, 1, 1, 1] = 1.0
+    links[:, 2, 1, 0], links[:, 2, 0, 1] = 1.0, -1.0
+    links[:, 0, 2, 3] = geometry.d_mm
+    still = ~geometry.active
+    links[still, 0] += links[still, 1]
+    links[still, 1:] = 0.0
+    beta_rad = np.where(np.arange(JOINTS) == BETA_JOINT, geometry.beta_rad, 0.0)
+    (ca, cb), (sa, sb) = (turn([geometry.alpha_rad, beta_rad]) for turn in (np.cos, np.sin))
+    turned = [[cb, np.zeros(JOINTS), sb], [sa * sb, ca, -sa * cb], [-ca * sb, sa, ca * cb]]
+    before = np.zeros((JOINTS, 4, 4))
+    before[:, :3, :3] = np.array(turned).transpose(2, 0, 1)
+    before[:, 0, 3], before[:, 3, 3] = geometry.a_mm, 1.0
+    return (before[:, None] @ links).reshape(JOINTS, 3, 16)
 
 
 def inverse(
@@ -183,68 +181,80 @@ def inverse(
 
 def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats) -> Floats:
     """Home and the best poses of a lattice over the joint ranges, each base turned to the goal."""
-    poses, tips, axes = _lattice(geometry, tuple(home))
-    turned = np.arctan2(goal[1], goal[0]) - np.arctan2(tips[:, 1], tips[:, 0])
-    misses = _misses(_about_z(tips, turned), _about_z(axes, turned), goal, stylus)
-    best = np.argsort(np.linalg.norm(misses[1:], axis=1), kind="stable")[: _STARTS - 1] + 1
+    poses, azimuths, reached = _lattice(geometry, tuple(home))
+    azimuth = np.arctan2(goal[1], goal[0])
+    turned = None if stylus is None else _about_z(stylus, -azimuth)
+    target = _target(_about_z(goal, -azimuth), turned)
+    misses = target - reached[:, : len(target)]
+    # the base turns a pose about z where its alpha is 0
+    best = np.argpartition(_squares(misses[1:]), _STARTS - 2)[: _STARTS - 1] + 1
     chosen = np.concatenate([[0], best])
     starts: Floats = poses[chosen]
-    starts[:, 0] += turned[chosen]
+    starts[:, 0] += azimuth - azimuths[chosen]
     return starts
 
 
 @lru_cache(maxsize=8)
 def _lattice(geometry: ArmGeometry, home: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
-    """Home and a lattice over the joint ranges, poses (n, 6) rad; their tips and axes (n, 3)."""
+    """Home and a lattice over the joint ranges, poses (n, 6) rad; the azimuths of their tips (n,),
+    and what they reach (n, 6), as of `_target`, turned to azimuth 0.
+    """
     low, high = RANGES_RAD.T
     between = np.linspace(low, high, 9)[1:-1] * geometry.active
     steps = [np.zeros(1), *between.T[1:-1], np.zeros(1)]
     lattice = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, JOINTS)
     poses: Floats = np.concatenate([np.zeros((1, JOINTS)), lattice]) + np.array(home)
-    return poses, *geometry.forward_angles(poses)
+    tips, axes = geometry.forward_angles(poses)
+    azimuths = np.arctan2(tips[:, 1], tips[:, 0])
+    return poses, azimuths, _target(*(_about_z(v, -azimuths) for v in (tips, axes)))
 
 
 def _about_z(points: Floats, angles_rad: Floats) -> Floats:
-    """Points (n, 3), each turned about z; the base turns them so where its alpha is 0."""
-    cos, sin, (x, y, z) = np.cos(angles_rad), np.sin(angles_rad), points.T
-    return np.column_stack([cos * x - sin * y, sin * x + cos * y, z])
+    """Points (..., 3), each turned about z."""
+    cos, sin, (x, y, z) = np.cos(angles_rad), np.sin(angles_rad), np.moveaxis(points, -1, 0)
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
 
-def _misses(tips: Floats, axes: Floats, goal: Floats, stylus: Floats | None) -> Floats:
-    """(n, 3) or (n, 6) mm from the goal: the tip's, then the weighted direction's."""
-    misses: Floats = goal - tips
-    if stylus is None:
-        return misses
-    return np.concatenate([misses, _DIRECTION_MM * (stylus - axes)], axis=1)
+def _target(tip: Floats, axis: Floats | None) -> Floats:
+    """(..., 3) or (..., 6) mm: the tip, then the weighted direction."""
+    return tip if axis is None else np.concatenate([tip, _DIRECTION_MM * axis], axis=-1)
+
+
+def _squares(misses: Floats) -> Floats:
+    """Squared lengths (n,) of rows."""
+    return np.asarray(np.einsum("ij,ij->i", misses, misses))
 
 
 def _settle(
     geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None
 ) -> tuple[Floats, Floats]:
     """Levenberg-Marquardt on all rows (n, 6), each with its own damping; angles, misses (n,)."""
-    rows = 3 if stylus is None else 6
-    weights = np.array([1.0] * 3 + [_DIRECTION_MM] * 3)[:rows, None]
+    target = _target(goal, stylus)
+    rows = len(target)
 
-    def seen(angles: Floats) -> tuple[Floats, Floats]:
+    def seen(angles: Floats) -> tuple[Floats, Floats, Floats]:
         rotations, origins = geometry.frames(angles)
-        slopes = geometry._slopes(rotations, origins)[:, :rows] * weights
-        return _misses(origins[:, -1], rotations[:, -1, :, 2], goal, stylus), slopes
+        misses = target - _target(origins[:, -1], rotations[:, -1, :, 2])[:, :rows]
+        return misses, _squares(misses), geometry._slopes(rotations, origins, _DIRECTION_MM)
 
-    misses, slopes = seen(angles)
+    misses, squares, slopes = seen(angles)
     damping = np.full(len(angles), 10.0)
     for _ in range(_STEPS):
-        normal = slopes @ slopes.transpose(0, 2, 1) + (damping**2)[:, None, None] * np.eye(rows)
-        steps = slopes.transpose(0, 2, 1) @ np.linalg.solve(normal, misses[..., None])
+        used = slopes[:, :rows]
+        normal = used @ used.transpose(0, 2, 1)
+        normal.reshape(-1, rows * rows)[:, :: rows + 1] += (damping**2)[:, None]
+        steps = used.transpose(0, 2, 1) @ np.linalg.solve(normal, misses[..., None])
         tried = angles + steps[..., 0]
-        new, new_slopes = seen(tried)
-        better = np.linalg.norm(new, axis=1) < np.linalg.norm(misses, axis=1)
+        new, new_squares, new_slopes = seen(tried)
+        better = new_squares < squares
         angles = np.where(better[:, None], tried, angles)
         misses = np.where(better[:, None], new, misses)
         slopes = np.where(better[:, None, None], new_slopes, slopes)
-        damping = np.clip(np.where(better, damping * 0.2, damping * 4.0), 1e-3, 1e4)
-        if (np.linalg.norm(misses, axis=1) < _TOLERANCE_MM).all():
+        squares = np.where(better, new_squares, squares)
+        damping = np.minimum(np.maximum(damping * np.where(better, 0.2, 4.0), 1e-3), 1e4)
+        if squares.max() < _TOLERANCE_MM**2:
             break
-    return angles, np.linalg.norm(misses, axis=1)
+    return angles, np.sqrt(squares)
 
 
 def _rows(counts: npt.ArrayLike) -> Floats:

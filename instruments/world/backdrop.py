@@ -7,6 +7,7 @@ grid on the table and looked up by each pixel; only the table receives them, and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -88,6 +89,12 @@ class Place(NamedTuple):
     along_mm: Point
     normal: Point
 
+    @property
+    def texels(self) -> tuple[int, int]:
+        """Its size across and along in texels of a weave."""
+        across, along = (round(math.hypot(*edge) / TEXEL_MM) for edge in self[1:3])
+        return across, along
+
 
 @dataclass(frozen=True, slots=True)
 class Patch:
@@ -99,6 +106,10 @@ class Patch:
     weave: Weave = "cloud"
     seed: int = 0
     warmer_k: float = 0.0
+
+    def woven(self) -> Image:
+        """The weave fixed to it, in texels, about -1 to 1."""
+        return woven(self.weave, self.seed, *self.place.texels)
 
 
 def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
@@ -209,27 +220,26 @@ class VisiblePart:
 
     def texture(self, patch: Patch) -> Image:
         """The weave fixed to the patch, about -1 to 1, (h, w)."""
-        fixed, part, size = self._texels
-        cloth = woven(patch.weave, patch.seed, *size)
-        values = cv2.remap(cloth, fixed, part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        values = cv2.remap(
+            patch.woven(), *self._texels, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
         return np.asarray(values, dtype=np.float32)
 
     @cached_property
-    def _texels(self) -> tuple[NDArray[np.int16], NDArray[np.uint16], tuple[int, int]]:
-        """Where each pixel lies on the weave, as OpenCV's maps, and the weave's size in texels."""
+    def _texels(self) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
+        """Where each pixel lies on the weave, as OpenCV's maps."""
         x, y = (ray[self.part].reshape(-1) for ray in self.camera.rays())
         points, _ = _met(self.place, self.camera, np.stack([x, y]))
         off = points - np.asarray(self.place.corner_mm, dtype=np.float32)[:, None]
         places: list[NDArray[np.float32]] = []
-        sizes: list[int] = []
-        for edge in (self.place.across_mm, self.place.along_mm):
+        edges = self.place.across_mm, self.place.along_mm
+        for edge, size in zip(edges, self.place.texels, strict=True):
             length = float(np.linalg.norm(edge))
             unit = np.asarray(edge, dtype=np.float32) / np.float32(length * TEXEL_MM)
-            sizes.append(round(length / TEXEL_MM))
             # maps are of 16 bits: what lies that far outside has no share
-            places.append(np.clip(unit @ off, -16.0, sizes[-1] + 16.0).reshape(self.share.shape))
+            places.append(np.clip(unit @ off, -16.0, size + 16.0).reshape(self.share.shape))
         fixed, part = cv2.convertMaps(places[0], places[1], cv2.CV_16SC2)
-        return np.asarray(fixed, np.int16), np.asarray(part, np.uint16), (sizes[0], sizes[1])
+        return np.asarray(fixed, np.int16), np.asarray(part, np.uint16)
 
 
 @lru_cache(PATCHES_KEPT)

@@ -27,6 +27,7 @@ from instruments.world.sensor import (
     OpticalReadout,
     OpticalSensor,
     Part,
+    Words,
     blurred,
     blurred_by_depth,
     reach_px,
@@ -198,7 +199,15 @@ class OpticalCamera:
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
     ) -> Grey:
         """One exposure, (height, width) uint8."""
-        return self.readout.expose(self._light(state, shadows), rng, state.exposure)
+        return self.exposed(state, shadows, self.noise(rng))
+
+    def noise(self, rng: np.random.Generator) -> Words:
+        """Fresh noise of one exposure: all that it needs of chance."""
+        return self.readout.noise(rng)
+
+    def exposed(self, state: SceneState, shadows: ShadowMap | None, noise: Words) -> Grey:
+        """One exposure with `noise`, (height, width) uint8."""
+        return self.readout.exposed(self._light(state, shadows), noise, state.exposure)
 
     def expected(self, state: SceneState, shadows: ShadowMap | None = None) -> Image:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""

@@ -11,9 +11,10 @@ board: no picture is used, so the truth doesn't depend on a camera's resolution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -21,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world.backdrop import ShadowMap, shadow_map
+from instruments.world.backdrop import ShadowMap, patches, shadow_map
 from instruments.world.boards import Board
 from instruments.world.depth_camera import DepthCamera, DepthSensor
 from instruments.world.optical_camera import OpticalCamera
@@ -97,12 +98,19 @@ class Renderer:
 
     def render(self, view: SceneState, rng: np.random.Generator) -> RenderedSet:
         """A frame set with noise from ``rng``. Raises ValueError for a thing too near a camera."""
-        shadows = self.shadows(view)
-        left = self.left.expose(view, shadows, rng).astype(np.uint8, copy=False)
-        right = self.right.expose(view, shadows, rng).astype(np.uint8, copy=False)
-        thermal = self.thermal.expose(view, rng)
+        noise, noise_right = self.left.noise(rng), self.right.noise(rng)
+        # what the optical cameras share comes first: each would weave it anew
+        woven = (patch.woven for patch in patches(view.backdrop) if patch.texture > 0.0)
+        *_, shadows = _at_once(*woven, partial(self.shadows, view))
+        left, right, apparent_k = _at_once(
+            partial(self.left.exposed, view, shadows, noise),
+            partial(self.right.exposed, view, shadows, noise_right),
+            partial(self.thermal.expected_k, view),
+        )
+        thermal = self.thermal.exposed(apparent_k, view.time_s, rng)
         # last, so that the others' noise is the same with and without it
         depth = self.depth.expose(view, rng) if self.depth else ()
+        left, right = (grey.astype(np.uint8, copy=False) for grey in (left, right))
         return RenderedSet(left, right, *thermal, *depth)
 
     def shadows(self, state: SceneState) -> ShadowMap | None:
@@ -121,6 +129,20 @@ class Renderer:
         stage = Stage.of(state.everything())
         shares = [seen_share(state.phantom, stage, one, state.boards) for one in self.cameras]
         return np.column_stack(shares) >= LEAST_SEEN
+
+
+def _at_once(*works: Callable[[], Any]) -> list[Any]:
+    """What each gives, in their order: the first in this thread, the others beside it where OpenCV
+    may use several processors. All are over when this returns, or raises the first one's error.
+    They share what is kept in caches, where two may make the same at once, and change nothing that
+    another reads.
+    """
+    beside = min(cv2.getNumThreads(), len(works)) - 1
+    if beside < 1:
+        return [work() for work in works]
+    with ThreadPoolExecutor(beside) as pool:
+        others = [pool.submit(work) for work in works[1:]]
+        return [works[0](), *(each.result() for each in others)]
 
 
 RINGS = np.meshgrid(np.radians((30.0, 60.0, 85.0)), np.arange(16) * 2.0 * np.pi / 16)

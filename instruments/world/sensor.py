@@ -21,6 +21,7 @@ from instruments import world as package
 from instruments.world.optics import Floats
 
 Image = NDArray[np.float32]
+Words = NDArray[np.uint16]
 Part = tuple[slice, slice]  # rows and columns
 NOISE_LEVELS = 65536
 BLOCK = 32768  # pixels
@@ -35,7 +36,7 @@ def _normal_levels() -> Image:
     return np.asarray(levels / levels.std(), dtype=np.float32)
 
 
-def _words(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
+def _words(rng: np.random.Generator, count: int) -> Words:
     """Random numbers of 16 bits, which name normal levels."""
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
     return bits.astype("<u8", copy=False).view("<u2")[:count].astype(np.uint16, copy=False)
@@ -174,8 +175,16 @@ class OpticalReadout:
         self, light: Image, rng: np.random.Generator, exposure: Exposure | None = None
     ) -> Grey:
         """What light on the sensor gives with fresh noise, (h, w): uint8 (uint16 above 8 bits)."""
-        pixels = light, self._response, self._dark_e, _words(rng, light.size).reshape(light.shape)
-        constants, exposed = self._constants(exposure or Exposure()), np.empty_like(pixels[3])
+        return self.exposed(light, self.noise(rng), exposure)
+
+    def noise(self, rng: np.random.Generator) -> Words:
+        """Which of `NOISE_LEVELS` is each pixel's, (h, w): all that an exposure needs of chance."""
+        return _words(rng, self._response.size).reshape(self._response.shape)
+
+    def exposed(self, light: Image, noise: Words, exposure: Exposure | None = None) -> Grey:
+        """As `expose`, with what `noise` gave."""
+        pixels = light, self._response, self._dark_e, noise
+        constants, exposed = self._constants(exposure or Exposure()), np.empty_like(noise)
         package.kernels.expose(*pixels, _normal_levels(), constants, exposed)
         return exposed if self.sensor.bits > 8 else exposed.astype(np.uint8)
 

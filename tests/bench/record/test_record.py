@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import subprocess
 import sys
 import threading
 from collections import Counter
@@ -35,6 +36,7 @@ from instruments.operators.emulated import EmulatedOperator
 from instruments.stage.driver import OwnStage
 from tests.bench.killed_runs import start
 from tests.bench.operated_runs import CHECK_POINT, STAGE, files
+from tests.conftest import ROOT
 
 
 def facts(store: Store) -> None:
@@ -512,3 +514,41 @@ def test_all_that_was_said_is_durable_before_the_next_physical_action(
         "EmulatedOperator._touch",
     } <= set(spoken.looked)
     assert spoken.looked["OwnStage.move_to"] >= 3
+
+
+HEAPS = """
+import ctypes, sys, threading
+from pathlib import Path
+from bench.record.writer import Store
+folder, heaps = Path(sys.argv[1]), Path(sys.argv[2])
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.fopen.restype = ctypes.c_void_p, ctypes.c_void_p
+together = threading.Barrier(4)
+def draw():
+    together.wait()
+    libc.malloc(10_000)
+    together.wait()
+if len(sys.argv) == 3:
+    Store.create(folder, {}).close()
+threads = [threading.Thread(target=draw) for _ in range(4)]
+for each in threads:
+    each.start()
+for each in threads:
+    each.join()
+file = ctypes.c_void_p(libc.fopen(bytes(heaps), b"w"))
+libc.malloc_info(0, file)
+libc.fclose(file)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "confstr"), reason="heaps are of glibc")
+def test_threads_of_a_run_share_its_heap(tmp_path: Path) -> None:
+    if "CS_GNU_LIBC_VERSION" not in os.confstr_names:
+        pytest.skip("heaps are of glibc")
+    program, heaps = [sys.executable, "-c", HEAPS, str(tmp_path / "run")], tmp_path / "heaps.xml"
+    counts = []
+    for more in ([], ["without a run"]):
+        subprocess.run([*program, str(heaps), *more], check=True, cwd=ROOT)
+        counts.append(heaps.read_text("utf-8").count("<heap nr="))
+    assert counts[0] == 1 < counts[1]

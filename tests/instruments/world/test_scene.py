@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import fields, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from bench.script.phantom import shipped_phantom
+from instruments.world import backdrop, boards, optical_camera
+from instruments.world import state as states_of
 from instruments.world.objects import make_object
+from instruments.world.optical_camera import OpticalCamera
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer, contact_sheet
 from instruments.world.shading import Lighting
@@ -108,6 +115,66 @@ def test_a_thing_in_a_camera_s_face_is_refused() -> None:
     state = replace(warm(), objects=(near,))
     with pytest.raises(ValueError, match=r"within -?\d+ mm of the left camera's plane"):
         renderer().render(state, np.random.default_rng(1))
+
+
+@pytest.fixture
+def processors() -> Iterator[None]:
+    """OpenCV's threads and Python's turns are put back."""
+    threads, turn_s = cv2.getNumThreads(), sys.getswitchinterval()
+    yield
+    cv2.setNumThreads(threads)
+    sys.setswitchinterval(turn_s)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("processors")
+def test_a_picture_is_the_same_however_many_processors_draw_it() -> None:
+    sys.setswitchinterval(1e-6)  # threads meet in all that they share
+    states = [*map(situation, SITUATIONS), replace(warm(), velocity_mm_s=(40.0, 0.0, 0.0))]
+    drawn = []
+    for threads in (1, 2, 4, 4):
+        cv2.setNumThreads(threads)
+        for kept in (boards.woven, backdrop._seen, optical_camera._empty, states_of._stage):
+            kept.cache_clear()
+        eyes = small(depth=True)
+        drawn.append([eyes.render(one, np.random.default_rng(3)) for one in states])
+    for one, *others in zip(*drawn, strict=True):
+        for part in fields(one):
+            first = getattr(one, part.name)
+            assert first is not None
+            assert all(np.array_equal(first, getattr(other, part.name)) for other in others)
+
+
+@pytest.mark.usefixtures("processors")
+def test_both_optical_cameras_draw_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    cv2.setNumThreads(2)
+    both, exposed = threading.Barrier(2, timeout=60.0), OpticalCamera.exposed
+
+    def together(self: OpticalCamera, *given: Any) -> Any:
+        both.wait()
+        return exposed(self, *given)
+
+    monkeypatch.setattr(OpticalCamera, "exposed", together)
+    small().render(NOBODY, np.random.default_rng(1))  # one after the other would wait in vain
+
+
+@pytest.mark.usefixtures("processors")
+def test_nothing_draws_any_more_when_a_camera_can_t(monkeypatch: pytest.MonkeyPatch) -> None:
+    cv2.setNumThreads(2)
+    eyes, refused, over = small(), threading.Event(), list[str]()
+
+    def exposed(self: OpticalCamera, *_: Any) -> None:
+        if self is eyes.left:
+            refused.set()
+            raise ValueError("too near")
+        refused.wait(60.0)
+        eyes.shadows(warm())
+        over.append("right")
+
+    monkeypatch.setattr(OpticalCamera, "exposed", exposed)
+    with pytest.raises(ValueError, match="too near"):
+        eyes.render(NOBODY, np.random.default_rng(1))
+    assert over == ["right"]
 
 
 @pytest.mark.slow
