@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -31,6 +32,9 @@ PYTEST_OPTIONS = (
 )
 # most modules are never imported: Python compiles the others itself, at their first import
 QUIETLY = ("--disable-pip-version-check", "--no-compile", "--quiet")
+# what compiles the loops of a module needs; it has them done while the other packages come
+LOOPS = ("llvmlite", "numba", "numpy", "scipy")
+COMPILED = "detector.outline.kernels", "instruments.world.kernels"
 # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 DID_ITS_WORK = (0, 1, 4)
 
@@ -95,22 +99,41 @@ def install(extra: str) -> int:
     fault = make_venv()
     if fault:
         return fault
-    # Python's own pip takes three times as long; where no newer one can be had, it does the work
-    newer = ("--require-hashes", "--requirement", str(LOCKS / "pip.txt"))
-    works(["-m", "pip", "install", *QUIETLY, "--retries", "0", *newer])
-    # what is editable has no hash: the packages come first, then the project with what is there
-    packages = ["--require-hashes", "--requirement", str(LOCKS / f"{extra or 'run'}.txt")]
-    for what in packages, ["--no-deps", "--no-build-isolation", "--editable", str(ROOT)]:
-        if fault := pip_install(what):
-            return fault
+    lock, first = LOCKS / f"{extra or 'run'}.txt", VENV / "loops.txt"
+    each = re.split(r"(?m)^(?=\w)", lock.read_text("utf-8"))  # a package with its hashes
+    first.write_text("".join(one for one in each if one.split("==")[0] in LOOPS), "utf-8")
+    if fault := pip_install(["--require-hashes", "--requirement", str(first)]):
+        return fault
+    with compiling(COMPILED[0]):
+        # what is editable has no hash: the packages come first, then the project with what is there
+        packages = ["--require-hashes", "--requirement", str(lock)]
+        for what in packages, ["--no-deps", "--no-build-isolation", "--editable", str(ROOT)]:
+            if fault := pip_install(what):
+                return fault
+        with compiling(COMPILED[1]):
+            pass
     stamp.write_text(fingerprint(), encoding="utf-8")
     return 0
+
+
+def compiling(module: str) -> subprocess.Popen[bytes]:
+    """A process that compiles a module's loops, which are kept; where it can't, whoever needs them
+    does.
+    """
+    return subprocess.Popen(
+        [str(python()), "-c", f"import {module}"],
+        cwd=ROOT,
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 def pip_install(what: Sequence[str]) -> int:
     """Install in .venv; 0 when that is done."""
     done = subprocess.run(
         [str(python()), "-m", "pip", "install", *QUIETLY, *what],
+        env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -128,10 +151,17 @@ def pip_install(what: Sequence[str]) -> int:
 def make_venv() -> int:
     """Make .venv where it is missing, broken or of another Python; 0 when it works and has pip."""
     same = f"import sys; sys.exit(sys.version_info[:2] != {tuple(sys.version_info[:2])})"
+    # Python's own pip takes three times as long; where no newer one can be had, it does the work
+    newer = ["install", *QUIETLY, "--retries", "0", "--require-hashes"]
+    newer += ["--requirement", str(LOCKS / "pip.txt")]
     if python().exists() and works(["-c", same]) and works(["-m", "pip", "--version"]):
+        works(["-m", "pip", *newer])
         return 0
     try:
-        venv.EnvBuilder(with_pip=True, clear=VENV.exists()).create(VENV)
+        venv.EnvBuilder(clear=VENV.exists()).create(VENV)
+        # sooner done than a copy of Python's own pip
+        if not works(["-m", "pip", "--python", str(python()), *newer], sys.executable):
+            venv.EnvBuilder(with_pip=True).create(VENV)
     except (OSError, subprocess.CalledProcessError, SystemExit) as error:
         return complain(f".venv can't be made: {error}", HINT_VENV)
     return 0 if works(["-m", "pip", "--version"]) else complain(".venv has no pip.", HINT_VENV)
@@ -142,11 +172,12 @@ def python() -> Path:
     return VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
-def works(arguments: Sequence[str]) -> bool:
-    """Whether .venv's interpreter does this without complaint."""
+def works(arguments: Sequence[str], interpreter: str = "") -> bool:
+    """Whether an interpreter, by default .venv's, does this without complaint."""
     try:
         done = subprocess.run(
-            [str(python()), *arguments],
+            [interpreter or str(python()), *arguments],
+            env=environment(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             check=False,
@@ -171,15 +202,20 @@ def call(command: Sequence[str], folder: Path | None = None) -> int:
     """Run a command with this terminal; Ctrl-C is the child's to
     answer, and its exit code is ours.
     """
-    environment = {**os.environ, "PYTHONUTF8": "1"}
-    # .venv has no byte code yet: without it each start compiles every module again
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    with subprocess.Popen(command, cwd=folder, env=environment) as child:
+    with subprocess.Popen(command, cwd=folder, env=environment()) as child:
         while True:
             try:
                 return child.wait()
             except KeyboardInterrupt:
                 continue  # the child got it too and goes to safe
+
+
+def environment() -> dict[str, str]:
+    """Of all that is called."""
+    known = {**os.environ, "PYTHONUTF8": "1"}
+    # .venv has no byte code yet: without it each start compiles every module again
+    known.pop("PYTHONDONTWRITEBYTECODE", None)
+    return known
 
 
 def complain(what: str, hint: str) -> int:

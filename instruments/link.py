@@ -266,8 +266,8 @@ def _socket(url: str, who: str, connect_timeout_s: float, clock: Clock) -> HostP
     try:
         return _TcpPort(host, port, connect_timeout_s)
     except OSError as error:
-        hint = "Is the device on, and the address right?"
-        raise LinkError(who, f"nothing takes the connection: {error.strerror or error}", hint=hint) from error
+        what = f"nothing takes the connection: {error.strerror or error}"
+        raise LinkError(who, what, hint="Is the device on, and the address right?") from error
 
 
 class _TcpPort:

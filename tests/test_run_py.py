@@ -158,7 +158,8 @@ def test_other_dependencies_are_installed_anew(
     (tmp_path / changed).write_text("# other\n", encoding="utf-8")
     run_py.main(["install"])
     said = log.read_text(encoding="utf-8")
-    newer, first, then = (line for line in said.splitlines() if "pip install" in line)
+    newer, loops, first, then = (line for line in said.splitlines() if "pip install" in line)
+    assert loops.endswith(f"--require-hashes --requirement {tmp_path / '.venv' / 'loops.txt'}")
     assert newer.endswith(f"--require-hashes --requirement {tmp_path / 'locks' / 'pip.txt'}")
     assert first.endswith(f"--require-hashes --requirement {tmp_path / 'locks' / 'test.txt'}")
     assert then.endswith(f"--no-deps --no-build-isolation --editable {tmp_path}")
@@ -174,6 +175,43 @@ def test_where_no_newer_pip_can_be_had_the_old_one_installs(
     assert run_py.main(["install"]) == 0
     assert "test.txt" in log.read_text(encoding="utf-8")
     assert not capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
+def test_loops_are_compiled_while_the_rest_is_installed(run_py: ModuleType, tmp_path: Path) -> None:
+    """Where they can't be, the install is none the worse: whoever needs them compiles them."""
+    log = tmp_path / "calls"
+    fake_python(run_py, f'echo "$*" >> "{log}"; case "$*" in *kernels*) exit 1;; esac')
+    assert run_py.main(["install"]) == 0
+    said = log.read_text(encoding="utf-8")
+    assert sorted(re.findall("import (.*kernels)", said)) == sorted(run_py.COMPILED)
+    assert all(importlib.util.find_spec(module) for module in run_py.COMPILED)
+    first = pinned((tmp_path / ".venv" / "loops.txt").read_text(encoding="utf-8"))
+    whole = pinned((ROOT / "locks" / "test.txt").read_text(encoding="utf-8"))
+    assert {name for name, _ in first} == set(run_py.LOOPS)
+    assert first == {one: hashes for one, hashes in whole.items() if one[0] in run_py.LOOPS}
+
+
+@pytest.mark.parametrize("newer", [True, False])
+def test_a_new_environment_gets_a_pip_of_today_or_pythons_own(
+    run_py: ModuleType, monkeypatch: pytest.MonkeyPatch, newer: bool
+) -> None:
+    own = list[bool]()
+
+    class Builder:
+        def __init__(self, *, clear: bool = False, with_pip: bool = False) -> None:
+            own.append(with_pip)
+
+        def create(self, folder: Path) -> None:
+            assert folder == run_py.VENV
+
+    def works(arguments: list[str], interpreter: str = "") -> bool:
+        return newer or interpreter != sys.executable
+
+    monkeypatch.setattr(run_py.venv, "EnvBuilder", Builder)
+    monkeypatch.setattr(run_py, "works", works)
+    assert run_py.make_venv() == 0
+    assert own == ([False] if newer else [False, True])
 
 
 def pinned(text: str) -> dict[tuple[str, str], int]:

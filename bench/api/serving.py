@@ -61,8 +61,9 @@ def serve_rig(
             stack.enter_context(closing(hands))
         except OSError as error:
             where = f"{host}, ports {port_base} to {at(PORTS[-1])}" if port_base else host
-            what = f"can't listen on {'pseudo-terminals' if pty else where}: {error.strerror or error}"
-            raise ConfigError.plain(what) from error
+            at_all = "pseudo-terminals" if pty else where
+            why = f"can't listen on {at_all}: {error.strerror or error}"
+            raise ConfigError.plain(why) from error
         out_of = streams.pulled
         practice.pull_camera = lambda one, out: (out_of.add if out else out_of.discard)(one)
         plugged = "cameras" in twin.listeners

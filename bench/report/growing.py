@@ -12,6 +12,7 @@ import pickle
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 from bench.config import read_calibration
@@ -59,9 +60,8 @@ class TrialParts:
         if in_page(planned, len(run.detectors)):
             self._next[run.folder] = ALL[1]
             return
-        file = run.folder / CALIBRATION
-        sha256, calibration = sha256_of(file), read_calibration(file, doubtful=True)
-        press = TrialRenderer(run.detectors, terms())
+        sha256 = sha256_of(run.folder / CALIBRATION)
+        calibration, press = _calibration(run.folder, sha256), _press(run.detectors)
         for trial in run.trials:
             part = _drawn(run, trial, calibration, run.folder / REPORT, press)
             self._kept[_digest(run, trial, sha256)] = zlib.compress(pickle.dumps(part), 1)
@@ -87,6 +87,16 @@ class TrialParts:
         part: TrialPart = pickle.loads(zlib.decompress(self._kept[digest]))  # noqa: S301 our own
         there = part.drawn and all((folder / one).is_file() for one in part.drawn.files)
         return part if there else None
+
+
+@lru_cache(maxsize=1)
+def _calibration(folder: Path, _sha256: str) -> Calibration:
+    return read_calibration(folder / CALIBRATION, doubtful=True)
+
+
+@lru_cache(maxsize=1)
+def _press(detectors: tuple[str, ...]) -> TrialRenderer:
+    return TrialRenderer(detectors, terms())
 
 
 def _drawn(

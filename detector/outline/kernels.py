@@ -5,7 +5,8 @@ in the user's cache, or in NUMBA_CACHE_DIR). What is kept is as old as the file 
 file has all. No fast mathematics but for sums that are exact: others have numpy's order where it
 shows.
 
-A loop fills arrays and gives back a number at most. A Ctrl-C that comes amid a loop is raised where
+No array is assigned to a slice: what numba would say of a wrong shape takes 2 s to compile. A loop
+fills arrays and gives back a number at most. A Ctrl-C that comes amid a loop is raised where
 an array is handed back, in numba's own code, which then crashes.
 """
 
@@ -248,7 +249,7 @@ def _likeliest(
         shift = min(max(0.5 * (before - after) / bend, -1.0), 1.0)
         result[0, j] = places[inner] + shift * apart_px if best == inner else np.nan
         result[1, j] = np.sqrt(2.0 / bend) * apart_px
-        result[2, j] = (straight[j] - left[j, best]) / scale if best == inner else 0.0
+        result[2, j] = (straight[j, 0] - left[j, best]) / scale if best == inner else 0.0
 
 
 @_within
@@ -290,7 +291,7 @@ def _centred(line: Field, flat: Array, steps: float, y: Array) -> tuple[float, f
 def _left_over(
     lines: Field, rows: Array, flat: Array, steps: float, left: Field, straight: Field
 ) -> None:
-    """Of lines (n, s): fills residuals of steps (k, n, g), and of straight lines (n,)."""
+    """Of lines (n, s): fills residuals of steps (k, n, g), and of straight lines (n, 1)."""
     models, n, g = left.shape
     y, sums = np.zeros(lines.shape), np.zeros((n, 3))
     for j in range(n):
@@ -300,7 +301,7 @@ def _left_over(
     for j in range(n):
         energy, level, slope = sums[j]
         along, rest = products[j], energy - level * level
-        straight[j] = max(energy - (level * level + slope * slope), 1e-6)
+        straight[j, 0] = max(energy - (level * level + slope * slope), 1e-6)
         for q in range(g):
             one = rest - along[q] * along[q]
             left[models - 1, j, q] = max(one, 0.0)
@@ -323,20 +324,23 @@ def _with_neighbours(
     (3, k, n). ``joining``: how many, the clarity of an edge beyond doubt, and what one counts less.
     """
     neighbours, clear, doubt = joining
-    faint = np.flatnonzero(result[2, 0] < clear)
-    if len(faint) == 0:
-        return
     models, n, g = left.shape
-    together, shared, joint = np.empty((n, g), _f4), np.empty((n, 1), _f4), np.empty((3, n))
-    _summed(straight.reshape(n, 1), neighbours, shared)
+    faint, many = np.empty(n, np.intp), 0
+    for j in range(n):
+        if result[2, 0, j] < clear:
+            faint[many], many = j, many + 1
+    if many == 0:
+        return
+    together, shared, joint = np.empty((n, g), _f4), np.empty((n, 1), _f4), np.empty((3, models, n))
+    _summed(straight, neighbours, shared)
     least = _f4(neighbours) * floor
     for k in range(models):
         _summed(left[k], neighbours, together)
-        _likeliest(together, shared[:, 0], grid, least, freedom, faint, joint)
-        for j in faint:
-            result[0, k, j] = joint[0, j]
-            result[1, k, j] = joint[1, j] * np.sqrt(neighbours)
-            result[2, k, j] = min(doubt * joint[2, j], 0.9 * clear)
+        _likeliest(together, shared, grid, least, freedom, faint[:many], joint[:, k])
+        for j in faint[:many]:
+            result[0, k, j] = joint[0, k, j]
+            result[1, k, j] = joint[1, k, j] * np.sqrt(neighbours)
+            result[2, k, j] = min(doubt * joint[2, k, j], 0.9 * clear)
 
 
 @_within
@@ -396,20 +400,19 @@ def edges(
     g = len(places)
     models = (len(rows) // g + 1) // 2
     result, every = np.empty((3, models, n)), np.arange(n)
-    left, straight = np.empty((models, n, g), dtype=_f4), np.empty(n, dtype=_f4)
+    left, straight = np.empty((models, n, g), dtype=_f4), np.empty((n, 1), dtype=_f4)
     for v in range(views):
         floor, many = _f4(s * noise[v] ** 2), _f4(s * joining[0])
         for i in range(m):
-            row, at = which[i], slice(first + v * n, first + (v + 1) * n)
+            row = which[i]
             _left_over(lines[v, i], rows, flat, steps[v], left, straight)
             for k in range(models):
                 _likeliest(left[k], straight, grid, floor, _f4(s), every, result[:, k])
             _with_neighbours(left, straight, grid, floor, many, joining, result)
-            offset[row, at], sd[row, at] = result[0, 0], result[1, 0]
-            clarity[row, at] = result[2, 0]
-            limb[row, at] = apart[row, at] = 0.0
             for j in range(n):
                 c = first + v * n + j
+                offset[row, c], sd[row, c], clarity[row, c] = result[:, 0, j]
+                limb[row, c] = apart[row, c] = 0.0
                 if np.isnan(lines[v, i, j, 0]):
                     offset[row, c], clarity[row, c] = np.nan, 0.0
                 if models == 2:
@@ -519,7 +522,8 @@ def across(
         half = swell[i] * teat[5] * lens[0] / max(middle[2], 1.0)
         for part in range(3 if end else 2):
             side, count = 2.0 * part - 1.0, len(below) if part < 2 else len(arc)
-            sums[part] = 0.0
+            total = sums[part]
+            total[:] = 0.0
             for k in range(count):
                 if part < 2:
                     nx, ny = side * down_y, -side * down_x
@@ -540,8 +544,8 @@ def across(
                             min(max(v, _f4(0)), _f4(rows - 1)),
                         )
                     at = 2 * (int(v) * columns + int(u))
-                    sums[part, j] += abs(flat[at] * normal_x + flat[at + 1] * normal_y)
-            sums[part] /= _f4(count)
+                    total[j] += abs(flat[at] * normal_x + flat[at + 1] * normal_y)
+            total /= _f4(count)
         for j in range(len(shifts)):
             better, other = max(sums[0, j], sums[1, j]), min(sums[0, j], sums[1, j])
             result[j, i] = sums[2, j] * (_f4(0.7) * better + _f4(0.3) * other)

@@ -184,16 +184,15 @@ def areas(
     """
     cells = len(shares)  # at most
     change, spill = np.zeros(cells + 1), np.zeros(cells + 1)
-    cells, j = 0, 0
+    cells, stop = 0, 0
     for i in range(len(counts)):
         left, right, top, bottom = windows[i]
         base = cells - top * (right - left) - left
-        stop = j + counts[i]
-        while j < stop:
-            after = j + 1 if j + 1 < stop else stop - counts[i]
+        first, stop = stop, stop + counts[i]
+        for j in range(first, stop):
+            after = j + 1 if j + 1 < stop else first
             start, end = (points[j, 0], points[j, 1]), (points[after, 0], points[after, 1])
             _edge(j, start, end, base, right - left, change, spill)
-            j += 1
         cells += (right - left) * (bottom - top)
     cell, at, total = 0, 0, 0.0
     for i in range(len(counts)):
