@@ -192,6 +192,27 @@ def test_loops_are_compiled_while_the_rest_is_installed(run_py: ModuleType, tmp_
     assert first == {one: hashes for one, hashes in whole.items() if one[0] in run_py.LOOPS}
 
 
+BARE = """\
+import sys
+from importlib.machinery import PathFinder
+module, *there = sys.argv[1:]
+class Bare:
+    def find_spec(name, path=None, target=None):
+        spec = None if path or name in there else PathFinder.find_spec(name)
+        if spec and "site-packages" in (spec.origin or ""):
+            raise ModuleNotFoundError(f"{name} comes later", name=name)
+sys.meta_path.insert(0, Bare)
+__import__(module)
+"""
+
+
+@pytest.mark.slow
+def test_the_first_loops_need_no_package_that_comes_later(run_py: ModuleType) -> None:
+    asked = [sys.executable, "-c", BARE, run_py.COMPILED[0], *run_py.LOOPS]
+    done = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert not done.returncode, done.stderr
+
+
 @pytest.mark.parametrize("newer", [True, False])
 def test_a_new_environment_gets_a_pip_of_today_or_pythons_own(
     run_py: ModuleType, monkeypatch: pytest.MonkeyPatch, newer: bool

@@ -286,11 +286,8 @@ def decide_error(
     if measured >= refuse:
         verdict = Verdict.NOT_MET
         reason = f"at or beyond the refusal limit of {refuse:.3f} mm"
-    elif u_mm is None:
-        none = f"no error is accepted under {limit_mm:g} mm; state it (0 for an exact truth)"
-        reason = f"but the truth states no uncertainty, so {none}"
-    elif accept is None:
-        reason = f"but the truth is too uncertain to accept any error under {limit_mm:g} mm"
+    elif u_mm is None or accept is None:
+        reason = _nothing_accepted(limit_mm, u_mm)
     elif measured > accept:
         reason = f"above {most} and not shown to be beyond {limit_mm:g} mm"
     else:
@@ -328,6 +325,15 @@ def _guard_band(limit_mm: float, u_mm: float | None, accepted: str, refuse_mm: f
         f"largest distance of the found teats: accepted up to {accepted}, refused from"
         f" {refuse_mm:.3f} mm (T = {limit_mm:g} mm, {stated}, 5 % false acceptance)"
     )
+
+
+def _nothing_accepted(limit_mm: float, u_mm: float | None) -> str:
+    if u_mm is None:
+        return (
+            f"but the truth states no uncertainty, so no error is accepted under {limit_mm:g} mm;"
+            " state it (0 for an exact truth)"
+        )
+    return f"but the truth is too uncertain to accept any error under {limit_mm:g} mm"
 
 
 def _more(more: int | None, would: str, share: str) -> str:
