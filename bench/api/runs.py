@@ -8,7 +8,7 @@ import importlib
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -74,11 +74,16 @@ class _Parts:
         self._parts: TrialParts | None = None
 
     def grow(self, folder: Path, done: int, planned: int) -> None:
-        if done > 1:
-            from bench.report.growing import TrialParts
+        import bench.report.page  # noqa: F401 - loads for a second, which nobody waits for here
+        from bench.report.growing import TrialParts
 
-            self._parts = self._parts or TrialParts(self._warn)
-            self._parts.grow(folder, done, planned)
+        self._parts = self._parts or TrialParts(self._warn)
+        self._parts.begin(planned)
+        self._parts.grow(folder, done, planned)
+
+    def close(self) -> None:
+        if self._parts:
+            self._parts.close()
 
     def report(self, folder: Path, damage: tuple[str, ...] = ()) -> Reported:
         from bench.report.page import write_run_report
@@ -167,11 +172,8 @@ def run_queue(
     if to and len(found) > 1:
         raise ConfigError.plain("`record` is of one script. Give one, or leave `record` out.")
     how = RunOptions(seed, tested, to, realtime or speed is not None, speed, capture, typed, begun)
-    parts = _Parts(shown)
-    with _followed(shown, events, several("notify", notify) or loaded.rig.notify.urls) as (
-        stream,
-        word,
-    ):
+    urls = several("notify", notify) or loaded.rig.notify.urls
+    with closing(_Parts(shown)) as parts, _followed(shown, events, urls) as (stream, word):
         ended = started(loaded, found, Path(out), stream, replace(how, between=parts.grow))
         stream.state("writing the report")
         reports: list[Reported] = []
@@ -283,9 +285,9 @@ def resume_run(
     from bench.run.start import RunOptions
     from bench.run.start import resume_run as resumed
 
-    parts = _Parts(shown := progress or QuietProgress())
-    how = RunOptions(capture=capture, typed=typed, begun=begun, between=parts.grow)
-    with known([Path(folder)], damage) as there:
+    shown = progress or QuietProgress()
+    with closing(_Parts(shown)) as parts, known([Path(folder)], damage) as there:
+        how = RunOptions(capture=capture, typed=typed, begun=begun, between=parts.grow)
         urls = several("notify", notify) or rig_of_run(folder).rig.notify.urls
         with _followed(shown, events, urls) as (stream, word):
             resumed(Path(folder), stream, how)

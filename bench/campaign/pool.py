@@ -8,22 +8,17 @@ The standard library's pools can't do this: one lost process breaks a `ProcessPo
 
 from __future__ import annotations
 
-import os
-import pickle
 import queue
-import signal
 import statistics
-import subprocess
-import sys
-import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from typing import IO, Any, cast
+from typing import Any
 
 from bench.campaign.chunk import ChunkRows, SceneId, set_aside
 from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.campaign.worker import ONE_THREAD
+from bench.workers import WorkerProcess
 from instruments.clock import stopwatch_s
 
 AHEAD = 2  # scenes given to a process, so that it never waits for the next
@@ -35,7 +30,6 @@ LEAST_LIMIT_S = 60.0  # of silence
 FIRST_LIMIT_S = 600.0  # of silence, while no chunk time is known
 START_LIMIT_S = 120.0  # until a worker is ready, which takes 2 s on an idle machine
 TIMES_KEPT = 400  # times that are kept
-CLOSING_S = 5.0
 LOOK_S = 0.5  # between two looks whether one is silent for too long
 Say = Callable[[str], None]
 
@@ -51,27 +45,19 @@ def silence_limit_s(plan: CampaignPlan, chunk_s: Sequence[float]) -> float:
     return max(LEAST_LIMIT_S, USUAL_TIMES * statistics.median(chunk_s))
 
 
-class _Worker:
-    """A process, and a thread that passes on its messages; ``None`` is its end."""
+class _Worker(WorkerProcess):
+    """A process, and the scenes that it was given."""
 
     def __init__(
         self, job: Job, number: int, messages: queue.SimpleQueue[tuple[_Worker, Any]]
     ) -> None:
         self.number = number
-        self.scenes: deque[SceneId] = deque()  # that it was given
-        self.ready, self.killed = False, ""
+        self.scenes: deque[SceneId] = deque()
+        self.ready = False
         self.last_message_s = stopwatch_s()
-        self._messages = messages
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "bench.campaign.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, **ONE_THREAD},
+        super().__init__(
+            "bench.campaign.worker", lambda value: messages.put((self, value)), ONE_THREAD
         )
-        self._requests = cast(IO[bytes], self.process.stdin)
-        self._thread = threading.Thread(target=self._listen, daemon=True)
-        self._thread.start()
         self.ask(job)
 
     def give(self, scene: SceneId) -> None:
@@ -79,42 +65,6 @@ class _Worker:
             self.last_message_s = stopwatch_s()
         self.scenes.append(scene)
         self.ask(scene)  # a few bytes: a stopped one's pipe doesn't fill up
-
-    def ask(self, value: object) -> None:
-        with suppress(OSError):  # its end is a message of its own
-            pickle.dump(value, self._requests)
-            self._requests.flush()
-
-    def kill(self, why: str) -> None:
-        self.killed = self.killed or why
-        self.process.kill()
-
-    def end(self) -> str:
-        """Wait for its end; gives back how it ended."""
-        with suppress(OSError):
-            self._requests.close()
-        try:
-            code = self.process.wait(CLOSING_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            code = self.process.wait()
-        self._thread.join()
-        if self.killed:
-            return self.killed
-        if code < 0:
-            with suppress(ValueError):
-                return f"ended by {signal.Signals(-code).name}"
-        return f"ended with code {code}"
-
-    def _listen(self) -> None:
-        with cast(IO[bytes], self.process.stdout) as source:
-            while True:
-                try:
-                    value = pickle.load(source)  # noqa: S301 - of a process that we started
-                except Exception:  # cut off at its end, or damaged
-                    break
-                self._messages.put((self, value))
-        self._messages.put((self, None))
 
 
 class LocalPool:

@@ -7,7 +7,6 @@ stopped goes on where it was: what is done is what the folder holds.
 from __future__ import annotations
 
 import hashlib
-import os
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
@@ -36,6 +35,7 @@ from bench.config import ConfigError, writing
 from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
+from bench.workers import processors
 from textfiles.text import range_text
 from textfiles.whole import new_folders, refusal, refuse_no_name, remove_empty, take_place
 
@@ -60,10 +60,7 @@ class Executor(Protocol):
 def executor(job: Job, workers: int | None, dask: str | None, say: Say) -> Iterator[Executor]:
     """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
     if dask is None:
-        usable = (
-            len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        )
-        with closing(LocalPool(job, workers or usable or 1, say=say)) as pool:
+        with closing(LocalPool(job, workers or processors(), say=say)) as pool:
             yield pool
         return
     try:

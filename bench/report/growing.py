@@ -11,6 +11,7 @@ import hashlib
 import pickle
 import zlib
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,8 +21,10 @@ from bench.files import sha256_of
 from bench.record.reader import ALL, RunRecord, TrialRecord, read_trials
 from bench.record.recording import png_size
 from bench.report.bath import readings_at
+from bench.report.beside import FigureProcess
 from bench.report.glossary import terms
 from bench.report.trials import trial_part
+from bench.workers import processors
 from detector.calibration import Calibration
 from reports.page import TrialPart
 from reports.render import TrialRenderer, in_page
@@ -37,6 +40,21 @@ class TrialParts:
         self._warn = warn
         self._next: dict[Path, int] = {}  # number of the first trial that is not drawn
         self._kept: dict[str, bytes] = {}
+        self.figures: FigureProcess | None = None
+
+    def close(self) -> None:
+        """End the process that draws figures; once more is no error."""
+        if self.figures:
+            self.figures.end()
+        self.figures = None
+
+    def begin(self, planned: int) -> None:
+        """Start the process that draws figures of a report of so many trials, where a second
+        processor is there for it.
+        """
+        if self.figures is None and not in_page(planned, 1) and processors() > 1:
+            with suppress(OSError):
+                self.figures = FigureProcess()
 
     def grow(self, folder: Path, done: int, planned: int) -> None:
         """Draw trials of the run in ``folder``, where ``done`` of ``planned`` have passed: the last

@@ -19,6 +19,7 @@ from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
+from bench.report.beside import each_drawn
 from bench.report.chapters import Chapters, page_of, sections
 from bench.report.comparison import detectors_parts
 from bench.report.growing import REPORT, TrialParts
@@ -136,9 +137,15 @@ def build_page(
     looked, count = first_trials(run, undecided), len(run.trials)
     few = in_page(count, len(run.detectors))
     pages = _pages(run, status, rules, calibration, baseline, first_looks(run, undecided))
-    behind = {anchor: (title, sections(of)) for anchor, (title, of) in pages.items()}
-    drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
+    figures = _figures(run, rules, calibration) if run.trials and judgements else ()
     drawing = parts or TrialParts()
+    chapters = (of for _, page in pages.values() for _, of in page.values())
+    each = iter(each_drawn((figures, *chapters), drawing.figures))
+    drawn = next(each)
+    behind = {
+        anchor: (title, sections({of: (head, next(each)) for of, (head, _) in page.items()}))
+        for anchor, (title, page) in pages.items()
+    }
     made = tuple(drawing.of(run, calibration, folder, copied=None if few else looked))
     if judgements:
         every = chain(requirements, *(parts for _, parts in behind.values()))

@@ -124,6 +124,14 @@ def guarded_n(
     return fewest(lambda trials: shown_falsely(failures, trials, rate, leak) <= allowed, enough - 1)
 
 
+def leak_allowed(failures: int, trials: int, rate: float, confidence: float = 0.95) -> float | None:
+    """The largest `leak` at which so many trials show `rate`; None where they are too few."""
+    if trials < trials_needed(failures, rate, confidence):
+        return None
+    allowed = 1.0 - confidence
+    return crossing(lambda leak: shown_falsely(failures, trials, rate, leak) - allowed, 0.0, 1.0)
+
+
 def shown_rate(failures: int, trials: int, confidence: float = 0.95, leak: float = 0.0) -> float:
     """The rate that `trials` with `failures` seen show, as `guarded_n` counts; 0 where none."""
     allowed = 1.0 - confidence

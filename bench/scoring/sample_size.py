@@ -11,7 +11,7 @@ from math import floor, sqrt
 import numpy as np
 import scipy
 
-from bench.scoring.guard_band import acceptance_limit_mm, leak
+from bench.scoring.guard_band import acceptance_limit_mm, farthest_mm, leak
 from bench.scoring.rates import (
     Rate,
     check_open,
@@ -19,9 +19,9 @@ from bench.scoring.rates import (
     exact_percent,
     fewest,
     guarded_n,
+    leak_allowed,
     percent,
     percent_apart,
-    shown_falsely,
     trials_needed,
     zero_failure_n,
 )
@@ -50,14 +50,8 @@ def shown_error_mm(
     """The largest distance that so many poses, all but `failures` within it, show to be below
     `limit_mm` in a share `rate`. None for too few poses, or a truth too uncertain.
     """
-    accept, allowed = acceptance_limit_mm(limit_mm, u_mm), 1.0 - confidence
-
-    def risk(seen_mm: float) -> float:
-        return shown_falsely(failures, trials, rate, leak(seen_mm, limit_mm, u_mm)) - allowed
-
-    if accept is None or trials < trials_needed(failures, rate, confidence) or risk(0.0) > 1e-12:
-        return None
-    return accept if u_mm == 0.0 else crossing(risk, 0.0, accept)
+    most = leak_allowed(failures, trials, rate, confidence)
+    return None if most is None else farthest_mm(limit_mm, u_mm, most)
 
 
 def power_of_rate(trials: int, true_rate: float, rate: float, confidence: float = 0.95) -> float:

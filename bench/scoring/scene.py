@@ -22,11 +22,16 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.scoring.errors import ErrorSummary, Floats, as_points, summarise
-from bench.scoring.guard_band import acceptance_limit_mm, farthest_mm, refusal_limit_mm
+from bench.scoring.guard_band import (
+    acceptance_limit_mm,
+    farthest_mm,
+    leak,
+    refusal_limit_mm,
+)
 from bench.scoring.looks import FIRST, Looks, RateTest, allowed_leak
 from bench.scoring.matching import Counts, Match, as_flags, assign, counted, gate_mm
-from bench.scoring.rates import Rate, pose_successes
-from bench.scoring.sample_size import failures_allowed, shown_error_mm
+from bench.scoring.rates import Rate, leak_allowed, pose_successes
+from bench.scoring.sample_size import failures_allowed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,23 +248,30 @@ class Pool:
         distance at which so many poses claim `rate` falsely in no more than 1 - `confidence`; at a
         further look, to that at which few enough bad poses are seen as good.
         """
-        poses = len(set(self.poses))
-        sure_of = looks.first_confidence(confidence)
-        failures = failures_allowed(poses, rate, sure_of)
-        reach: dict[tuple[float, float], float | None] = {}
-        limits_of = {(s.limit_mm, s.u_mm) for s in self.scores}
         if looks.again:
-            most = allowed_leak(RateTest(rate, confidence, looks))
-            reach = {limits: farthest_mm(*limits, most) for limits in limits_of}
-        elif failures is not None:
-            for limits in limits_of:
-                reach[limits] = shown_error_mm(poses, rate, *limits, sure_of, failures)
+            most: float | None = allowed_leak(RateTest(rate, confidence, looks))
+        else:
+            poses, sure_of = len(set(self.poses)), looks.first_confidence(confidence)
+            failures = failures_allowed(poses, rate, sure_of)
+            most = None if failures is None else leak_allowed(failures, poses, rate, sure_of)
+
+        reach: dict[tuple[float, float], float | None] = {}
+        if most is not None:
+            for score in self.scores:
+                if score.radial_mm and score.surely_succeeded:
+                    limits = score.limit_mm, score.u_mm
+                    reach[limits] = max(reach.get(limits) or 0.0, *score.radial_mm)
+            for limits, seen_mm in reach.items():
+                if leak(seen_mm or 0.0, *limits) > most:  # else none is beyond it
+                    reach[limits] = farthest_mm(*limits, most)
 
         def sure(score: SceneScore) -> bool:
-            most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
+            within_mm = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
             if not score.surely_succeeded:
                 return False
-            return not score.radial_mm or (most is not None and max(score.radial_mm) <= most)
+            return not score.radial_mm or (
+                within_mm is not None and max(score.radial_mm) <= within_mm
+            )
 
         return self._poses_where(sure)
 

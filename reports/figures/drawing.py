@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import io
 import re
+import threading
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import cache, wraps
 from itertools import pairwise
 from pathlib import Path
@@ -107,6 +108,10 @@ _LINKS = re.compile(
 # to draw, or ""; gets the figure, and draws on it. Where there is nothing, it isn't asked to.
 Plot = Generator[tuple[str, tuple[float, float], str], Figure, None]
 P = ParamSpec("P")
+SvgFunction = Callable[..., str]
+Elsewhere = Callable[[SvgFunction, Sequence[Any], Mapping[str, Any]], str]
+_HERE = threading.RLock()  # matplotlib's parameters are those of the whole process
+_elsewhere: list[Elsewhere] = []
 
 
 def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
@@ -114,9 +119,29 @@ def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
 
     @wraps(plot)
     def svg(*args: P.args, **kwargs: P.kwargs) -> str:
-        return draw(plot(*args, **kwargs))
+        busy = not _HERE.acquire(blocking=False)
+        if busy and _elsewhere and (drawn := _elsewhere[-1](svg, args, kwargs)):
+            return drawn
+        if busy:
+            _HERE.acquire()
+        try:
+            return draw(plot(*args, **kwargs))
+        finally:
+            _HERE.release()
 
     return svg
+
+
+@contextmanager
+def drawn_elsewhere(draw: Elsewhere) -> Iterator[None]:
+    """Meanwhile ``draw`` draws what a thread can't draw here, since another one does; it gives ""
+    for what it can't draw either.
+    """
+    _elsewhere.append(draw)
+    try:
+        yield
+    finally:
+        _elsewhere.remove(draw)
 
 
 class _Canvas(FigureCanvasSVG):

@@ -1,0 +1,70 @@
+"""``python -m bench.report.beside``: a process that draws figures beside the one that writes a
+report. It is asked a function of `reports.figures` and its arguments, and answers the SVG.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from bench.workers import WorkerProcess, opened
+from reports.figures.drawing import SvgFunction, drawn_elsewhere
+from reports.page import Part
+
+LIMIT_S = 30.0  # for a figure, which takes a tenth of a second
+
+
+class FigureProcess(WorkerProcess):
+    """The process, until its `end`. What it doesn't draw is drawn here, with the same bytes."""
+
+    def __init__(self) -> None:
+        self._answers = queue.SimpleQueue[str | None]()
+        self._asking, self._there = threading.Lock(), True
+        super().__init__(__name__, self._answers.put)
+
+    def draw(self, figure: SvgFunction, args: Sequence[Any], more: Mapping[str, Any]) -> str:
+        """The SVG; "" for what it can't draw, and where it is no longer there."""
+        with self._asking:
+            if not self._there:
+                return ""
+            self.ask((figure, args, more))
+            try:
+                drawn = self._answers.get(timeout=LIMIT_S)
+            except queue.Empty:
+                self.kill("silent for too long")
+                drawn = None
+            self._there = drawn is not None
+            return drawn or ""
+
+
+def each_drawn(
+    chapters: Iterable[Iterable[Part]], process: FigureProcess | None
+) -> list[tuple[Part, ...]]:
+    """The parts of each chapter; with a process two chapters are made beside each other, and of two
+    figures one is drawn there.
+    """
+    if process is None:
+        return [*map(tuple, chapters)]
+    with drawn_elsewhere(process.draw), ThreadPoolExecutor(2) as threads:
+        return [*threads.map(tuple, chapters)]
+
+
+def main() -> None:
+    """Draw until the input ends; an error is raised where the figure is drawn again."""
+    asked, answer = opened()
+    from reports.figures.course import latency_strip
+
+    latency_strip([1.0], [2.0])  # loads fonts: the first figure takes longer
+    while (request := asked()) is not None:
+        figure, args, more = request
+        try:
+            answer(figure(*args, **more))
+        except Exception:
+            answer("")
+
+
+if __name__ == "__main__":
+    main()
