@@ -48,7 +48,7 @@ UNDRAWN = (
 )
 DRAWN = tuple(
     f"tests.bench.report.test_{name}"
-    for name in ("report_points", "report_spread", "summary", "pages_in_a_browser")
+    for name in ("beside", "report_points", "report_spread", "summary", "pages_in_a_browser")
 )
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 KEEPING = ("tests.", "instruments.world.", "bench.campaign.")

@@ -5,7 +5,7 @@ check of its cameras.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 from unittest.mock import patch
 
@@ -27,6 +27,7 @@ def undrawn() -> Iterator[None]:
             render(figure, file, **how)
 
     with (
+        _here(),
         patch.object(Figure, "savefig", savefig),
         patch.object(ConstrainedLayoutEngine, "execute", lambda *_: None),
     ):
@@ -36,8 +37,13 @@ def undrawn() -> Iterator[None]:
 @contextmanager
 def without_figures() -> Iterator[None]:
     """No figure is made at all."""
-    with patch("reports.figures.drawing.draw", lambda _: NO_FIGURE):
+    with _here(), patch("reports.figures.drawing.draw", lambda _: NO_FIGURE):
         yield
+
+
+def _here() -> AbstractContextManager[object]:
+    """No other process draws figures."""
+    return patch("bench.report.growing.processors", lambda: 1)
 
 
 @contextmanager

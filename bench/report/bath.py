@@ -107,16 +107,18 @@ def readings_at(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[f
     """What bath and external sensor read about the capture, if any."""
     if trial.head["captured_s"] is None:
         return [], []
-    near = np.abs(_times_s(run, trial) - trial.head["captured_s"]) <= AROUND_S
+    near = _own(run, trial, np.abs(run.bath[:, 0] - trial.head["captured_s"]) <= AROUND_S)
     external = run.external_c[near]
     return run.bath[near, 1].tolist(), external[np.isfinite(external)].tolist()
 
 
-def _times_s(run: RunRecord, trial: TrialRecord) -> NDArray[np.float64]:
-    """Of each reading, by the clock of the trial's session; nan of another one's (n,)."""
-    of = np.array(run.bath_sessions)
-    same = of == trial.head.get("session", 1) if len(of) == len(run.bath) else True
-    return np.where(same, run.bath[:, 0], np.nan)
+def _own(run: RunRecord, trial: TrialRecord, near: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Places of those ``near`` (n,) readings whose clock is that of the trial's session."""
+    at = np.flatnonzero(near)
+    if len(run.bath_sessions) != len(run.bath):
+        return at
+    session = trial.head.get("session", 1)
+    return at[[run.bath_sessions[place] == session for place in at]] if len(at) else at
 
 
 def _capture_parts(run: RunRecord, shown: Sequence[TrialRecord], left_out: str) -> Iterator[Part]:
@@ -152,8 +154,7 @@ def _stability_table(
     rows = []
     for trial in shown:
         end_s = trial.head["captured_s"]
-        its_s = _times_s(run, trial)
-        inside = (its_s >= end_s - window_s) & (its_s <= end_s)
+        inside = _own(run, trial, (run.bath[:, 0] >= end_s - window_s) & (run.bath[:, 0] <= end_s))
         t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
         text = np.isfinite(teats_c)
         mean_c = _mean(bath_c)

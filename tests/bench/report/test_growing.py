@@ -54,13 +54,35 @@ def bytes_of(folder: Path) -> Mapping[str, bytes]:
 
 
 @pytest.mark.slow
-def test_it_grows_with_a_run_and_with_what_resumes_it(tmp_path: Path, drawn: list[str]) -> None:
+def test_it_grows_with_a_run_and_with_what_resumes_it(
+    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = list[str]()
+
+    class Noted:
+        """The process that draws figures: it can't draw any."""
+
+        def __init__(self) -> None:
+            assert not drawn, "it is there before the first trial is drawn"
+            figures.append("begun")
+
+        def draw(self, *_: object) -> str:
+            return ""
+
+        def end(self) -> None:
+            assert [*tmp_path.rglob("report/index.html")]
+            figures.append("ended")
+
+    monkeypatch.setattr(growing, "FigureProcess", Noted)
+    monkeypatch.setattr(growing, "processors", lambda: 2)
     _, script, _, rig, _, out = files(tmp_path, script=EIGHT)
     for grown in (3, 6):
         if grown == 3:
             bench.run_script(script, rig, out=out, progress=Stopped())
         else:
             assert main(["resume", str(run_of(tmp_path).folder)]) in (0, 1, 4)
+        assert figures == ["begun", "ended"]
+        figures.clear()
         run = run_of(tmp_path)
         names = [trial.id for trial in run.trials]
         assert drawn[:grown] == names[:grown]
