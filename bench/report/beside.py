@@ -14,6 +14,7 @@ from bench.workers import WorkerProcess, opened
 from reports.figures.drawing import SvgFunction, drawn_elsewhere
 from reports.page import Part
 
+AT_ONCE = 3  # chapters: a figure here, one in the process, and numbers
 LIMIT_S = 30.0  # for a figure, which takes a tenth of a second
 
 
@@ -22,33 +23,34 @@ class FigureProcess(WorkerProcess):
 
     def __init__(self) -> None:
         self._answers = queue.SimpleQueue[str | None]()
-        self._asking, self._there = threading.Lock(), True
+        self._free = threading.Lock()
         super().__init__(__name__, self._answers.put)
 
     def draw(self, figure: SvgFunction, args: Sequence[Any], more: Mapping[str, Any]) -> str:
-        """The SVG; "" for what it can't draw, and where it is no longer there."""
-        with self._asking:
-            if not self._there:
-                return ""
+        """The SVG; "" for what it can't draw, while it draws another, and once it is gone."""
+        if not self._free.acquire(blocking=False):
+            return ""
+        drawn: str | None = None
+        try:
             self.ask((figure, args, more))
-            try:
-                drawn = self._answers.get(timeout=LIMIT_S)
-            except queue.Empty:
-                self.kill("silent for too long")
-                drawn = None
-            self._there = drawn is not None
-            return drawn or ""
+            drawn = self._answers.get(timeout=LIMIT_S)
+        except Exception:  # silent for too long, or asked what no pickle holds
+            self.kill("can't draw")
+        finally:
+            if drawn is not None:
+                self._free.release()
+        return drawn or ""
 
 
 def each_drawn(
     chapters: Iterable[Iterable[Part]], process: FigureProcess | None
 ) -> list[tuple[Part, ...]]:
-    """The parts of each chapter; with a process two chapters are made beside each other, and of two
-    figures one is drawn there.
+    """The parts of each chapter; with a process some chapters are made beside each other, and of
+    their figures some are drawn there.
     """
     if process is None:
         return [*map(tuple, chapters)]
-    with drawn_elsewhere(process.draw), ThreadPoolExecutor(2) as threads:
+    with drawn_elsewhere(process.draw), ThreadPoolExecutor(AT_ONCE) as threads:
         return [*threads.map(tuple, chapters)]
 
 

@@ -119,24 +119,17 @@ def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
 
     @wraps(plot)
     def svg(*args: P.args, **kwargs: P.kwargs) -> str:
-        busy = not _HERE.acquire(blocking=False)
-        if busy and _elsewhere and (drawn := _elsewhere[-1](svg, args, kwargs)):
+        if _elsewhere and (drawn := _elsewhere[-1](svg, args, kwargs)):
             return drawn
-        if busy:
-            _HERE.acquire()
-        try:
+        with _HERE:
             return draw(plot(*args, **kwargs))
-        finally:
-            _HERE.release()
 
     return svg
 
 
 @contextmanager
 def drawn_elsewhere(draw: Elsewhere) -> Iterator[None]:
-    """Meanwhile ``draw`` draws what a thread can't draw here, since another one does; it gives ""
-    for what it can't draw either.
-    """
+    """Meanwhile ``draw`` is asked for each figure first; what it gives "" for is drawn here."""
     _elsewhere.append(draw)
     try:
         yield
