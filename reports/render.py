@@ -10,7 +10,7 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from itertools import chain
@@ -118,31 +118,54 @@ class Renderer:
                 f"page {self._page.title!r}: no searchable table begins a row with a link to"
                 f" {lost[:5]}; list every trial"
             )
-        return self._fill("page.html.j2", place)
+        return self._fill(place)
 
     def chapter(self, place: Place, section: Section | None) -> str:
         """The file of a folded chapter, where each has one; of the glossary for None."""
         named = section.title if section else "Glossary"
-        return self._fill("page.html.j2", place, only=section or "glossary", named=named)
+        return self._fill(place, only=section or "glossary", named=named)
 
-    def trial(self, number: int, apart: Mapping[str, str]) -> str:
-        """The file of the trial at `number`, from 0 in the page's order, in the folder `trials`."""
+    def trials(self, apart: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+        """The files of the trials, in the page's order: names in the folder `trials`, and texts."""
+        place = Place((), base="../", file=TRIALS, apart=apart)
+        # what all of them have in common is filled in once
+        around: Any = self._environment.get_template("trial.html.j2").make_module(
+            self._values(place)
+        )
         trials = self._page.trials
-        trial, before = trials[number], trials[number - 1] if number else None
-        after = trials[number + 1] if number + 1 < len(trials) else None
-        place = Place((), base="../", file=f"{TRIALS}/{trial.id}.html", apart=apart)
-        drawn = trial.drawn or self._drawn(trial)
-        body = drawn.body
-        if "glossary" not in apart:
-            body = body.replace(f'href="../{GLOSSARY}#', 'href="../index.html#')
-        texts = {"switches": Markup(drawn.switches), "body": Markup(body)}  # noqa: S704 our own
-        near = {"trial": trial, "before": before, "after": after}
-        return self._fill("trial.html.j2", place, drawn.rules, **near, **texts)
+        for trial, *near in zip(trials, (None, *trials), (*trials[1:], None), strict=False):
+            drawn = trial.drawn or self._drawn(trial)
+            body = drawn.body
+            if "glossary" not in apart:
+                body = body.replace(f'href="../{GLOSSARY}#', 'href="../index.html#')
+            texts = Markup(drawn.switches), Markup(body)  # noqa: S704 our own
+            text = around.file(trial, *near, *texts, *self._styled(drawn.rules))
+            yield f"{trial.id}.html", str(text)
 
-    def _fill(self, template: str, place: Place, rules: str = "", **values: Any) -> str:
-        shown = [image for trial in place.trials for image in trial.images]
-        looks = self._page.looks() if template == "page.html.j2" and not values.get("only") else ()
-        views, own_rules = _views([*(image for look in looks for image in look.images), *shown])
+    def _fill(self, place: Place, **values: Any) -> str:
+        looks = () if values.get("only") else self._page.looks()
+        more = {"only": None, "named": "", **values}
+        shown = [image for one in (*looks, *place.trials) for image in one.images]
+        views, rules = _views(shown)
+        more |= dict(zip(("style", "policy"), self._styled(rules), strict=True))
+        more["view_name"] = lambda image: views[_view(image)]
+        template = self._environment.get_template("page.html.j2")
+        return template.render(self._values(place), **more)
+
+    def _styled(self, rules: str) -> tuple[Markup, str]:
+        """The style sheet with a file's own ``rules``, and the policy that lets it and the script
+        in.
+        """
+        style = self._style + rules
+        by_style, by_script = map(policy_hash, (style, self._script))
+        return Markup(style), (  # noqa: S704 our own file and numbers
+            "default-src 'none'; img-src 'self' data: file:; "
+            f"style-src '{by_style}'; script-src '{by_script}'; "
+            "base-uri 'none'; form-action 'none'"
+        )
+
+    def _values(self, place: Place) -> Mapping[str, Any]:
+        """What the templates of a file at ``place`` fill in."""
         here, named = {trial.id for trial in place.trials}, set[str]()
 
         def is_away(name: str) -> bool:
@@ -164,33 +187,23 @@ class Renderer:
                 return f"{place.base}{TRIALS}/{href[1:]}.html"
             return address(href, "link")
 
-        style = self._style + own_rules + rules
         file = place.apart.get("glossary", "index.html")
         glossary = "" if file == place.file else place.base + file
         if glossary not in self._explained:
             links = GlossaryLinks(self._page.glossary, glossary, self._page.detectors)
             self._explained[glossary] = links
-        by_style, by_script = map(policy_hash, (style, self._script))
-        return self._environment.get_template(template).render(
-            _context(place, self._places, self._explained[glossary], to),
-            page=self._page,
-            layers=layers(shown),
-            view_name=lambda image: views[_view(image)],
-            row_id=row_id,
-            lone=_lone,
-            drawing=lambda figure: _drawing(figure, to if place.apart else None),
-            index=f"{place.base}index.html",
-            listed=place.base + place.apart.get(self._page.trials_in, "index.html"),
-            link=to,
-            style=Markup(style),  # noqa: S704 our own file and numbers
-            script=Markup(self._script),  # noqa: S704 our own file
-            policy=(
-                "default-src 'none'; img-src 'self' data: file:; "
-                f"style-src '{by_style}'; script-src '{by_script}'; "
-                "base-uri 'none'; form-action 'none'"
-            ),
-            **{"only": None, "named": "", **values},
-        )
+        return {
+            **_context(place, self._places, self._explained[glossary], to),
+            "page": self._page,
+            "layers": layers([image for trial in place.trials for image in trial.images]),
+            "row_id": row_id,
+            "lone": _lone,
+            "drawing": lambda figure: _drawing(figure, to if place.apart else None),
+            "index": f"{place.base}index.html",
+            "listed": place.base + place.apart.get(self._page.trials_in, "index.html"),
+            "link": to,
+            "script": Markup(self._script),  # noqa: S704 our own file
+        }
 
 
 def _context(
@@ -253,9 +266,8 @@ def _written(page: Page, folder: Path) -> str:
     apart = _apart(page) if chapters and len(whole.encode()) > MOST_BYTES else {}
     if len(place.trials) < len(page.trials):
         (folder / TRIALS).mkdir(exist_ok=True)
-        for number, trial in enumerate(page.trials):
-            target = folder / TRIALS / f"{trial.id}.html"
-            replace_whole(target, renderer.trial(number, apart).encode())
+        for name, text in renderer.trials(apart):
+            replace_whole(folder / TRIALS / name, text.encode())
     if not apart:
         return whole
     write_whole(folder / WHOLE, whole)
