@@ -164,7 +164,7 @@ class Renderer:
             "base-uri 'none'; form-action 'none'"
         )
 
-    def _values(self, place: Place) -> Mapping[str, Any]:
+    def _values(self, place: Place) -> dict[str, Any]:
         """What the templates of a file at ``place`` fill in."""
         here, named = {trial.id for trial in place.trials}, set[str]()
 

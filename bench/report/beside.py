@@ -12,7 +12,6 @@ from typing import Any
 
 from bench.workers import WorkerProcess, opened
 from reports.figures.drawing import SvgFunction, drawn_elsewhere
-from reports.page import Part
 
 AT_ONCE = 3  # chapters: a figure here, one in the process, and numbers
 LIMIT_S = 30.0  # for a figure, which takes a tenth of a second
@@ -42,11 +41,11 @@ class FigureProcess(WorkerProcess):
         return drawn or ""
 
 
-def each_drawn(
-    chapters: Iterable[Iterable[Part]], process: FigureProcess | None
-) -> list[tuple[Part, ...]]:
-    """The parts of each chapter; with a process some chapters are made beside each other, and of
-    their figures some are drawn there.
+def each_made(
+    chapters: Iterable[Iterable[Any]], process: FigureProcess | None
+) -> list[tuple[Any, ...]]:
+    """What each chapter holds; with a process some are made beside each other, and of their figures
+    some are drawn there.
     """
     if process is None:
         return [*map(tuple, chapters)]

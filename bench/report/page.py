@@ -19,7 +19,7 @@ from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
-from bench.report.beside import each_drawn
+from bench.report.beside import each_made
 from bench.report.chapters import Chapters, page_of, sections
 from bench.report.comparison import detectors_parts
 from bench.report.growing import REPORT, TrialParts
@@ -139,14 +139,14 @@ def build_page(
     pages = _pages(run, status, rules, calibration, baseline, first_looks(run, undecided))
     figures = _figures(run, rules, calibration) if run.trials and judgements else ()
     drawing = parts or TrialParts()
+    trials = drawing.of(run, calibration, folder, copied=None if few else looked)
     chapters = (of for _, page in pages.values() for _, of in page.values())
-    each = iter(each_drawn((figures, *chapters), drawing.figures))
-    drawn = next(each)
+    each = iter(each_made((trials, figures, *chapters), drawing.figures))
+    made, drawn = next(each), next(each)
     behind = {
         anchor: (title, sections({of: (head, next(each)) for of, (head, _) in page.items()}))
         for anchor, (title, page) in pages.items()
     }
-    made = tuple(drawing.of(run, calibration, folder, copied=None if few else looked))
     if judgements:
         every = chain(requirements, *(parts for _, parts in behind.values()))
         statements = note_on_statements((*every,), rules, len(judgements))

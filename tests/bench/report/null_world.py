@@ -16,7 +16,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property, partial
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from typing import Any, ClassVar
 from unittest.mock import patch
@@ -380,7 +380,7 @@ _ENVIRONMENT = cache(environment)  # its templates are compiled once
 
 @contextmanager
 def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
-    touch, trial = Toucher._touch_end, Renderer.trial
+    touch, trials = Toucher._touch_end, Renderer.trials
 
     @contextmanager
     def opened(rig: LoadedRig, *_: Any, **__: Any) -> Iterator[Devices]:
@@ -396,9 +396,10 @@ def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
             there = _Arm(), _Bath(clock, rig.profile), stage, _Cameras(), hands
             yield devices(clock, *there, world.ends_mm)
 
-    def first(press: Renderer, number: int, *given: Any) -> str:
+    def first(press: Renderer, apart: Any) -> Iterator[tuple[str, str]]:
         """The trials' own pages are alike; most of the time would go into them."""
-        return trial(press, number, *given) if number == 0 else ""
+        yield from islice(trials(press, apart), 1)
+        yield from ((f"{trial.id}.html", "") for trial in press._page.trials[1:])
 
     def touched(toucher: Toucher, *given: Any) -> Any:
         errors.end = errors.of_an_end()
@@ -412,7 +413,7 @@ def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
         for of, name, what in (
             (Toucher, "_touch_end", touched),
             (TipReader, "read", lambda _: errors.reading(frame)),
-            (Renderer, "trial", first),
+            (Renderer, "trials", first),
         ):
             stack.enter_context(patch.object(of, name, what))
         for name, new in (

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bench.report import beside
-from bench.report.beside import FigureProcess, each_drawn
+from bench.report.beside import FigureProcess, each_made
 from bench.report.growing import TrialParts
 from bench.report.page import write_run_report
 from reports.figures import drawing
@@ -39,7 +39,7 @@ def test_what_it_can_t_draw_is_raised_here(process: FigureProcess) -> None:
     wrong = ([float("nan")], [1.0])
     assert process.draw(latency_strip, wrong, {}) == ""
     with pytest.raises(ValueError, match="not finite"):
-        each_drawn([(Figure(latency_strip(*wrong), "", "") for _ in range(1))], process)
+        each_made([(Figure(latency_strip(*wrong), "", "") for _ in range(1))], process)
     assert process.draw(latency_strip, STRIP, {}) == latency_strip(*STRIP), "it goes on"
 
 
@@ -52,7 +52,7 @@ def test_of_figures_at_once_some_are_drawn_here(
         for number in range(first, first + 4):
             yield Figure(latency_strip([0.1 * number], [1.0], name=f"strip-{number}"), "", "")
 
-    alone = each_drawn([chapter(1), chapter(5)], None)
+    alone = each_made([chapter(1), chapter(5)], None)
     drew, here, there = threading.Event(), drawing.draw, process.draw
 
     def drawn_here(plot: drawing.Plot) -> str:
@@ -66,7 +66,7 @@ def test_of_figures_at_once_some_are_drawn_here(
 
     monkeypatch.setattr(drawing, "draw", drawn_here)
     monkeypatch.setattr(process, "draw", elsewhere)
-    assert each_drawn([chapter(1), chapter(5)], process) == alone
+    assert each_made([chapter(1), chapter(5)], process) == alone
 
 
 @pytest.mark.parametrize("how", ["killed", "silent", "asked for what no pickle holds"])
@@ -85,7 +85,7 @@ def test_one_that_is_gone_is_done_without(
         assert process.draw(latency_strip, STRIP, {}) == ""
     assert process.process.wait() is not None
     chapters = [[Figure(latency_strip(*STRIP), "", "")]]
-    assert each_drawn(chapters, process) == each_drawn(chapters, None)
+    assert each_made(chapters, process) == each_made(chapters, None)
 
 
 @pytest.mark.slow
