@@ -19,7 +19,6 @@ from pathlib import Path
 from bench.config import read_calibration
 from bench.files import sha256_of
 from bench.record.reader import ALL, RunRecord, TrialRecord, read_trials
-from bench.record.recording import png_size
 from bench.report.bath import readings_at
 from bench.report.beside import FigureProcess
 from bench.report.glossary import terms
@@ -125,11 +124,10 @@ def _drawn(
 
 
 def _digest(run: RunRecord, trial: TrialRecord, calibration_sha256: str) -> str:
-    """Of all that a part is made from."""
+    """Of all that a part is made from; of a picture its row has the SHA-256."""
     scores = [score.as_dict() for score in trial.scores.values()]
-    sizes = [png_size(run.folder / row["path"]) for row in trial.frames]
     rows = (trial.head, trial.frames, trial.truth, trial.detections, trial.found)
     of_run = (str(run.folder), run.detectors, run.facts.get("bath figures"), calibration_sha256)
     return hashlib.sha256(
-        repr((of_run, rows, [*trial.scores], scores, sizes, readings_at(run, trial))).encode()
+        repr((of_run, rows, [*trial.scores], scores, readings_at(run, trial))).encode()
     ).hexdigest()

@@ -183,7 +183,7 @@ def covariance_of(row: Row) -> Floats | None:
     return _covariance(row.get("covariance_mm2"))
 
 
-@lru_cache(maxsize=64)  # each camera's picture of a trial has them
+@lru_cache(maxsize=8192)  # several chapters have those of all ends
 def _covariance(text: str | None) -> Floats | None:
     matrix = np.array(json.loads(text) if text else [], dtype=np.float64)
     return matrix if matrix.shape == (3, 3) and np.isfinite(matrix).all() else None
