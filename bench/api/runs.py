@@ -74,11 +74,14 @@ class _Parts:
         self._parts: TrialParts | None = None
 
     def grow(self, folder: Path, done: int, planned: int) -> None:
-        import bench.report.page  # noqa: F401 - loads for a second, which nobody waits for here
-        from bench.report.growing import TrialParts
+        if self._parts is None:  # what a report needs is loaded before anything is measured
+            from bench.report.growing import TrialParts
 
-        self._parts = self._parts or TrialParts(self._warn)
-        self._parts.begin(planned)
+            self._parts = TrialParts(self._warn)
+            self._parts.begin(planned)
+            import bench.report.page  # noqa: F401
+
+            self._parts.wait()
         self._parts.grow(folder, done, planned)
 
     def close(self) -> None:

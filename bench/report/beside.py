@@ -25,6 +25,12 @@ class FigureProcess(WorkerProcess):
         self._free = threading.Lock()
         super().__init__(__name__, self._answers.put)
 
+    def wait(self) -> None:
+        """Until it has loaded what it needs, and sleeps until it is asked again."""
+        from reports.figures.course import latency_strip
+
+        self.draw(latency_strip, ([1.0], [2.0]), {})
+
     def draw(self, figure: SvgFunction, args: Sequence[Any], more: Mapping[str, Any]) -> str:
         """The SVG; "" for what it can't draw, while it draws another, and once it is gone."""
         if not self._free.acquire(blocking=False):
@@ -56,9 +62,6 @@ def each_made(
 def main() -> None:
     """Draw until the input ends; an error is raised where the figure is drawn again."""
     asked, answer = opened()
-    from reports.figures.course import latency_strip
-
-    latency_strip([1.0], [2.0])  # loads fonts: the first figure takes longer
     while (request := asked()) is not None:
         figure, args, more = request
         try:

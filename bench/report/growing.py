@@ -55,6 +55,11 @@ class TrialParts:
             with suppress(OSError):
                 self.figures = FigureProcess()
 
+    def wait(self) -> None:
+        """Until nothing of it runs."""
+        if self.figures:
+            self.figures.wait()
+
     def grow(self, folder: Path, done: int, planned: int) -> None:
         """Draw trials of the run in ``folder``, where ``done`` of ``planned`` have passed: the last
         but one, about whose capture all is written by now, and of those that a session before left

@@ -66,6 +66,10 @@ def test_it_grows_with_a_run_and_with_what_resumes_it(
             assert not drawn, "it is there before the first trial is drawn"
             figures.append("begun")
 
+        def wait(self) -> None:
+            assert not drawn, "and sleeps by then"
+            figures.append("waited for")
+
         def draw(self, *_: object) -> str:
             return ""
 
@@ -81,7 +85,7 @@ def test_it_grows_with_a_run_and_with_what_resumes_it(
             bench.run_script(script, rig, out=out, progress=Stopped())
         else:
             assert main(["resume", str(run_of(tmp_path).folder)]) in (0, 1, 4)
-        assert figures == ["begun", "ended"]
+        assert figures == ["begun", "waited for", "ended"]
         figures.clear()
         run = run_of(tmp_path)
         names = [trial.id for trial in run.trials]
