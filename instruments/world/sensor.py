@@ -163,18 +163,12 @@ class OpticalReadout:
         electrons = np.minimum(light * self._response * filled + dark, full)
         return np.asarray((electrons + self._dark_e) * gain + offset)
 
-    def expose(
-        self, light: Image, rng: np.random.Generator, exposure: Exposure | None = None
-    ) -> Grey:
-        """What light on the sensor gives with fresh noise, (h, w): uint8 (uint16 above 8 bits)."""
-        return self.exposed(light, self.noise(rng), exposure)
-
     def noise(self, rng: np.random.Generator) -> Words:
         """Which of `NOISE_LEVELS` is each pixel's, (h, w): all that an exposure needs of chance."""
         return _words(rng, self._response.size).reshape(self._response.shape)
 
     def exposed(self, light: Image, noise: Words, exposure: Exposure | None = None) -> Grey:
-        """As `expose`, with what `noise` gave."""
+        """What light on the sensor gives with `noise`, (h, w): uint8 (uint16 above 8 bits)."""
         pixels = light, self._response, self._dark_e, noise
         constants, exposed = self._constants(exposure or Exposure()), np.empty_like(noise)
         package.kernels.expose(*pixels, _normal_levels(), constants, exposed)
