@@ -205,7 +205,7 @@ class VisiblePart:
         fine = cv2.resize(coarse.astype(np.float32).reshape(self.grid), size)
         varies = self.texture(patch) if patch.texture > 0.0 else self.share  # which counts nothing
         rows, (down, across) = self.part[0], COARSE_PX
-        light = fine[down : down + len(self.share)]
+        light = np.asarray(fine[down : down + len(self.share)], dtype=np.float32)
         seen = light, across, self.share, varies, patch.texture
         package.kernels.paint(image[rows], self.part[1].start, *seen)
 
