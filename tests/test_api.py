@@ -190,7 +190,12 @@ HEAVY = {"numpy", "cv2", "pydantic", "typing", "pytest", "hypothesis"}
 
 
 @pytest.mark.parametrize(
-    ("module", "heavy"), [("bench", HEAVY), ("bench.cli.terminal", {"scipy.special"})]
+    ("module", "heavy"),
+    [
+        ("bench", HEAVY),
+        ("bench.cli.terminal", {"scipy.special"}),
+        ("bench.api.runs", {"scipy.special"}),
+    ],
 )
 def test_an_import_loads_nothing_heavy(module: str, heavy: set[str]) -> None:
     code = f"import {module}, sys; print(sorted({heavy} & {{*sys.modules}}))"

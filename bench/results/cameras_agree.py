@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import stdtrit
+import scipy
 
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, TrialRecord, points_mm, read_run
@@ -215,7 +215,8 @@ def _pooled(
     if n < LEAST_POSES:
         return None
     medians = np.array([np.median(values[finite][own == k]) for k in range(n)])
-    scatter = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * medians.std(ddof=1) / np.sqrt(n))
+    student = scipy.special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2)
+    scatter = float(student * medians.std(ddof=1) / np.sqrt(n))
     common_mm = 0.0
     if truth is not None:
         shared_mm2 = truth.of(finite).of_mean(1.0 / (n * np.bincount(own)[own]))

@@ -12,7 +12,7 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri, fdtri, ndtr
+import scipy
 
 from bench.rig.arm_files import LengthTest, LocationTest, Verification, from_dict
 from bench.rig.model import ArmTable
@@ -22,6 +22,7 @@ from bench.scoring.stated_u import (
     chance_of_refusal,
     largest_limit_mm,
     refuted,
+    squares_limit,
 )
 from bench.script.model import ArmRequirement, Requirement
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of
@@ -124,9 +125,8 @@ def unmoved_mm(rules: Iterable[Requirement], arm: ArmTable) -> float:
 
 
 def _drift_mm(stated: Mapping[str, Any], sizes: Sequence[int]) -> float:
-    df, several = stated["df"], sum(1.0 / n for n in sizes)
-    squared = chdtri(3, LIMIT_LEVEL) if df is None else 3.0 * fdtri(3, df, 1.0 - LIMIT_LEVEL)
-    return sqrt(_touch_mm2(stated) * several * float(squared))
+    squared = squares_limit(3, LIMIT_LEVEL, stated["df"])
+    return sqrt(_touch_mm2(stated) * sum(1.0 / n for n in sizes) * squared)
 
 
 def length_limit_mm(
@@ -140,9 +140,8 @@ def length_limit_mm(
 
 def _length_limit_mm(stated: Mapping[str, Any], lengths: Sequence[LengthTest]) -> float:
     """That the least certain of them exceeds as seldom as all of them may."""
-    df, level = stated["df"], LIMIT_LEVEL / len(lengths)
-    squared = chdtri(1, level) if df is None else fdtri(1, df, 1.0 - level)
-    return max(_length_sds(stated, lengths)) * sqrt(float(squared))
+    squared = squares_limit(1, LIMIT_LEVEL / len(lengths), stated["df"])
+    return max(_length_sds(stated, lengths)) * sqrt(squared)
 
 
 def _length_sds(stated: Mapping[str, Any], lengths: Sequence[LengthTest]) -> list[float]:
@@ -168,7 +167,8 @@ def contradictions(
         chances.append(("location_limit_mm", rule.location_limit_mm, chance, fits))
     if rule.length_limit_mm is not None and dated and dated.lengths:
         sds = _length_sds(stated, dated.lengths)
-        within = np.prod([1.0 - 2.0 * float(ndtr(-rule.length_limit_mm / sd)) for sd in sds])
+        beyond = (float(scipy.special.ndtr(-rule.length_limit_mm / sd)) for sd in sds)
+        within = np.prod([1.0 - 2.0 * one for one in beyond])
         fits = _length_limit_mm(stated, dated.lengths)
         chances.append(("length_limit_mm", rule.length_limit_mm, 1.0 - float(within), fits))
     for key, limit_mm, chance, fits in chances:

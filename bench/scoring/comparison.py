@@ -29,7 +29,7 @@ from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import bdtr, ndtr
+import scipy
 
 from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats, as_values, numbered
@@ -68,7 +68,7 @@ class Discordance:
     def p_value(self) -> float:
         """Exact two-sided McNemar: the discordant scenes' binomial test against one half."""
         discordant, fewer = self.only_old + self.only_new, min(self.only_old, self.only_new)
-        return min(1.0, 2.0 * float(bdtr(fewer, discordant, 0.5))) if discordant else 1.0
+        return min(1.0, 2.0 * float(scipy.special.bdtr(fewer, discordant, 0.5)))
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
         """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998), approximate: the
@@ -200,7 +200,7 @@ def sign_flip_p(differences: Floats, seed: int = 0) -> float:
         signs = 1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1)
         return float(np.mean(np.abs(signs @ values) >= seen))
     if n > MANY:
-        return 2.0 * float(ndtr(-seen / sqrt(float(values @ values))))
+        return 2.0 * float(scipy.special.ndtr(-seen / sqrt(float(values @ values))))
     rng, extreme, left = np.random.default_rng(seed), 0, FLIPS
     while left:
         rows = min(left, max(1, BATCH // n))

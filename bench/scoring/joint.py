@@ -13,7 +13,7 @@ from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, ndtri
+import scipy
 
 from bench.scoring.errors import Floats
 
@@ -89,7 +89,7 @@ def radial_95_mm(covariance_mm2: npt.ArrayLike) -> float:
     mean, square = float(np.trace(c)), float(np.sum(c * c))
     if mean <= 0.0:
         return 0.0
-    return sqrt(square / mean * float(chdtri(mean**2 / square, 0.05)))
+    return sqrt(square / mean * float(scipy.special.chdtri(mean**2 / square, 0.05)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +111,12 @@ def mean_square(errors_mm: Floats, truth: JointCovariance) -> MeanSquare:
     n = len(errors_mm)
     each = np.broadcast_to(np.eye(3), (n, 3, 3))
     mean, variance = (value / n**k for k, value in enumerate(truth.squares(each), 1))
-    most = mean * float(chdtri(2.0 * mean**2 / variance, 0.05)) / (2.0 * mean**2 / variance)
+    freedom = 2.0 * mean**2 / variance
+    most = mean * float(scipy.special.chdtri(freedom, 0.05)) / freedom
     crossed = np.einsum("na,nak->k", errors_mm, truth.common)
     own = float(np.einsum("na,nab,nb->", errors_mm, truth.fresh, errors_mm))
     sd = sqrt(4.0 * (float(crossed @ crossed) + own) / n**2 + variance)
-    seen, reach = float(np.mean(np.sum(np.square(errors_mm), axis=1))), float(ndtri(0.975)) * sd
+    seen = float(np.mean(np.sum(np.square(errors_mm), axis=1)))
+    reach = float(scipy.special.ndtri(0.975)) * sd
     low, high = (sqrt(max(seen - mean + sign * reach, 0.0)) for sign in (-1.0, 1.0))
     return MeanSquare(sqrt(mean), sqrt(most), (low, high))

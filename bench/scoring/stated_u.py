@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, inf, log1p, prod, sqrt
 
-from scipy.special import chdtr, chdtrc, chdtri, fdtr, fdtrc, fdtri
+import scipy
 
 LEVEL = 0.05  # share of sound statements that are accused
 LIMIT_LEVEL = 0.005  # the part of it by each of the three limits on a largest deviation
@@ -43,14 +43,12 @@ class StatedCheck:
     def p_value(self) -> float:
         """The chance of such deviations or larger ones, where the statement is true."""
         if self.stated_df is None:
-            return float(chdtrc(self.df, self.squares))
-        return float(fdtrc(self.df, self.stated_df, self.squares / self.df))
+            return float(scipy.special.chdtrc(self.df, self.squares))
+        return float(scipy.special.fdtrc(self.df, self.stated_df, self.squares / self.df))
 
     def limit(self, level: float) -> float:
         """The sum of squares that a true statement exceeds with the chance ``level``."""
-        if self.stated_df is None:
-            return float(chdtri(self.df, level))
-        return self.df * float(fdtri(self.df, self.stated_df, 1.0 - level))
+        return squares_limit(self.df, level, self.stated_df)
 
 
 def level_of_each(checks: Sequence[StatedCheck]) -> float:
@@ -63,6 +61,15 @@ def refuted(checks: Sequence[StatedCheck]) -> list[StatedCheck]:
     return [check for check in checks if check.p_value < level_of_each(checks)]
 
 
+def squares_limit(df: float, level: float, stated_df: float | None = None) -> float:
+    """What ``df`` squares of errors, in units of the stated u, sum to more than with the chance
+    ``level``, by chi-square; by Fisher's F where u has ``stated_df`` degrees of freedom.
+    """
+    if stated_df is None:
+        return float(scipy.special.chdtri(df, level))
+    return df * float(scipy.special.fdtri(df, stated_df, 1.0 - level))
+
+
 def largest_limit_mm(
     u_mm: float, sizes: Sequence[int], df: float | None = None, level: float = LIMIT_LEVEL
 ) -> float:
@@ -72,9 +79,7 @@ def largest_limit_mm(
     (Royen, Far East Journal of Theoretical Statistics 48, 2014).
     """
     each = -log1p(-level) / sum(sizes)  # -log of the chance that one stays within
-    beyond = 1.0 - exp(-each)
-    squared = float(chdtri(3, beyond)) if df is None else 3.0 * float(fdtri(3, df, 1.0 - beyond))
-    return u_mm * sqrt((1.0 - 1.0 / max(sizes)) * squared)
+    return u_mm * sqrt((1.0 - 1.0 / max(sizes)) * squares_limit(3, 1.0 - exp(-each), df))
 
 
 def chance_of_refusal(
@@ -84,7 +89,8 @@ def chance_of_refusal(
 
     def within(n: int) -> float:
         squared = (limit_mm / u_mm) ** 2 / (1.0 - 1.0 / n)
-        one = float(chdtr(3, squared)) if df is None else float(fdtr(3, df, squared / 3.0))
-        return one**n
+        if df is None:
+            return float(scipy.special.chdtr(3, squared)) ** n
+        return float(scipy.special.fdtr(3, df, squared / 3.0)) ** n
 
     return 1.0 - prod(within(n) for n in sizes if n > 1)

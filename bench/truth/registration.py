@@ -27,9 +27,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 from pydantic import AwareDatetime, Field
-from scipy.special import chdtrc
 
 from bench.config import FileTable, Positive, located, read_config, read_text, write_file
 from bench.rig.arm_files import NotNegative, Three, refuse_changed
@@ -183,7 +183,7 @@ class Registration:
         """As stated, or as the touches scatter (Birge ratio; chi-square test at `ALPHA`)."""
         freedom = self._free.freedom
         chi2 = float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2
-        if freedom and chdtrc(freedom, chi2) < ALPHA:
+        if freedom and scipy.special.chdtrc(freedom, chi2) < ALPHA:
             return self.stated_u_mm * sqrt(chi2 / freedom)
         return self.stated_u_mm
 
@@ -199,7 +199,7 @@ class Registration:
         """How likely the diagnostics are, if stage and touches are as good as stated."""
         theta = self._free.theta
         expected = self._theta_covariance + np.diag(self.stated.deformation[: len(theta)])
-        return float(chdtrc(len(theta), theta @ np.linalg.solve(expected, theta)))
+        return float(scipy.special.chdtrc(len(theta), theta @ np.linalg.solve(expected, theta)))
 
     @property
     def doubted(self) -> bool:

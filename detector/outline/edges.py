@@ -17,8 +17,8 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from detector import outline as package
 from detector.geometry import Array
@@ -86,7 +86,7 @@ class Profile:
     def _shapes(self, place: float) -> Array:
         """Columns: level, step; with ``limb`` the fall and the outer slope."""
         x = self.offsets - place
-        step = ndtr(x / self.blur_px)
+        step = scipy.special.ndtr(x / self.blur_px)
         columns = [np.ones_like(x), step]
         if self.limb:
             columns += [_blurred_root(-x, self.blur_px), x * step]

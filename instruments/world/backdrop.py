@@ -21,7 +21,7 @@ from instruments import world as package
 from instruments.world.boards import Weave, woven
 from instruments.world.compositing import cover_outlines
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.sensor import Image, in_blocks
+from instruments.world.sensor import Image
 from instruments.world.shading import Lighting, Rows, irradiance
 from instruments.world.solids import Ints, Point, Solids
 
@@ -146,19 +146,7 @@ def draw(
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
     image = np.full((camera.height_px, camera.width_px), room, dtype=np.float32)
     for patch, seen in patches_seen(backdrop, camera):
-        light = seen.light(lighting, patch.albedo)
-        shade = seen.texture(patch) if patch.texture > 0.0 else None
-        part = image[seen.part]
-        for rows in in_blocks(light):
-            new, behind = light[rows], part[rows]
-            if shade is not None:
-                varies = shade[rows]
-                varies *= np.float32(patch.texture)
-                varies += 1.0
-                new *= varies
-            new -= behind
-            new *= seen.share[rows]
-            behind += new
+        seen.lay_over(image, patch, lighting)
     places = tuple(patch.place for patch in patches(backdrop.shaped()))
     return image, *_depths(places, camera)
 
@@ -208,15 +196,18 @@ class VisiblePart:
     points: NDArray[np.float32]
     grid: tuple[int, int]
 
-    def light(self, lighting: Lighting, albedo: float) -> Image:
-        """Light (h, w) from a patch of this albedo."""
+    def lay_over(self, image: Image, patch: Patch, lighting: Lighting) -> None:
+        """Lay the light of what is painted there over a picture, in place."""
         normal = np.asarray(self.place.normal, dtype=np.float32)[:, None]
-        coarse = irradiance(lighting, self.points, normal) * np.float32(albedo)
-        (down, across), (tall, wide) = COARSE_PX, self.share.shape
+        coarse = irradiance(lighting, self.points, normal) * np.float32(patch.albedo)
         # the grid is of middles of parts of `COARSE_PX`, one beyond each side
-        size = across * self.grid[1], down * self.grid[0]
+        size = COARSE_PX[1] * self.grid[1], COARSE_PX[0] * self.grid[0]
         fine = cv2.resize(coarse.astype(np.float32).reshape(self.grid), size)
-        return np.asarray(fine[down : down + tall, across : across + wide], dtype=np.float32)
+        varies = self.texture(patch) if patch.texture > 0.0 else self.share  # which counts nothing
+        rows, (down, across) = self.part[0], COARSE_PX
+        light = np.asarray(fine[down : down + len(self.share)], dtype=np.float32)
+        seen = light, across, self.share, varies, patch.texture
+        package.kernels.paint(image[rows], self.part[1].start, *seen)
 
     def texture(self, patch: Patch) -> Image:
         """The weave fixed to the patch, about -1 to 1, (h, w)."""

@@ -54,6 +54,7 @@ def _within(loop: Loop) -> Loop:
 STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
 NEARLY_ALL = 1.0 - 1e-9
 NOTHING = 1e-4  # less cover than this is no cover
+RAYS = 1024  # at a time: what is worked out on the way stays in the processor's cache
 
 
 @_within
@@ -246,43 +247,57 @@ def meet(
     ``columns`` (k, 23): axis, qb by ray (3), bend, h0, qc, slope, radius_0, low, high, ways from
     ends a and b to the camera, both radii, and whether each end is flat.
     """
-    for i in range(len(which)):
-        solid, ray = columns[which[i]], (x[i], y[i], 1.0)
+    body, stop = np.empty(2 * RAYS), 0  # heights where rays meet the body, and which do
+    while stop < len(which):
+        first, stop = stop, stop + 1
+        while stop < min(first + RAYS, len(which)) and which[stop] == which[first]:
+            stop += 1
+        u, v, far, met = x[first:stop], y[first:stop], depth[first:stop], hit[first:stop]
+        out_x, out_y, out_z = normal[0, first:stop], normal[1, first:stop], normal[2, first:stop]
+        solid = columns[which[first]]
         axis, by_ray = (solid[0], solid[1], solid[2]), (solid[3], solid[4], solid[5])
         bend, h0, qc, slope, radius_0, low, high = solid[6:13]
-        dh, qb, long = _dot(ray, axis), _dot(ray, by_ray), _dot(ray, ray)
-        # a ray along the axis meets an end, never the body
-        qa = max(long - bend * dh * dh, 1e-9)
-        under = qb * qb - qa * qc
-        far, met = (-qb - np.sqrt(max(under, 0.0))) / qa, under >= 0.0
-        height = h0 + far * dh
-        # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
-        along = height + slope * (radius_0 + slope * height)
-        outward = _plus(_plus((solid[13], solid[14], solid[15]), far, ray), -along, axis)
-        for end in range(2):
-            if not (height > high if end else height < low):
-                continue
-            back = (solid[13 + 3 * end], solid[14 + 3 * end], solid[15 + 3 * end])
-            square = solid[19 + end] * solid[19 + end]
-            if solid[21 + end]:
-                # A ray that misses keeps the rim's depth and normal from the cone.
-                turn = 1.0 if end else -1.0
-                towards = turn * _dot(ray, axis)
-                there = -turn * _dot(back, axis) / (towards if towards < -1e-9 else -1.0)
-                off = _plus(back, there, ray)
-                met = towards < -1e-9 and _dot(off, off) <= square
-                if met:
-                    far, outward = there, (turn * axis[0], turn * axis[1], turn * axis[2])
-            else:
-                # Distance of the centre from the ray first: b^2 - a c would lose half of the
-                # digits at a metre.
-                middle = -_dot(ray, back) / long
-                off = _plus(back, middle, ray)
-                under = square - _dot(off, off)
-                far, met = middle - np.sqrt(max(under, 0.0) / long), under >= 0.0
-                outward = _plus(back, far, ray)
-        depth[i], hit[i] = far, met
-        normal[0, i], normal[1, i], normal[2, i] = _unit(outward)
+        from_a = (solid[13], solid[14], solid[15])
+        # Loops without branches are done with vectors: the body, and of the few others an end.
+        for i in range(len(u)):
+            ray = (u[i], v[i], 1.0)
+            dh, qb = _dot(ray, axis), _dot(ray, by_ray)
+            # a ray along the axis meets an end, never the body
+            qa = max(_dot(ray, ray) - bend * dh * dh, 1e-9)
+            under = qb * qb - qa * qc
+            there = (-qb - np.sqrt(max(under, 0.0))) / qa
+            far[i], body[i], body[RAYS + i] = there, h0 + there * dh, under
+        for i in range(len(u)):
+            # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
+            along = body[i] + slope * (radius_0 + slope * body[i])
+            outward = _plus(_plus(from_a, far[i], (u[i], v[i], 1.0)), -along, axis)
+            out_x[i], out_y[i], out_z[i] = _unit(outward)
+        for i in range(len(u)):
+            ray, met[i] = (u[i], v[i], 1.0), body[RAYS + i] >= 0.0
+            for end in range(2):
+                if not (body[i] > high if end else body[i] < low):
+                    continue
+                back = (solid[13 + 3 * end], solid[14 + 3 * end], solid[15 + 3 * end])
+                square = solid[19 + end] * solid[19 + end]
+                if solid[21 + end]:
+                    # A ray that misses keeps the rim's depth and normal from the cone.
+                    turn = 1.0 if end else -1.0
+                    towards = turn * _dot(ray, axis)
+                    there = -turn * _dot(back, axis) / (towards if towards < -1e-9 else -1.0)
+                    off = _plus(back, there, ray)
+                    met[i] = towards < -1e-9 and _dot(off, off) <= square
+                    if not met[i]:
+                        continue
+                    far[i], outward = there, (turn * axis[0], turn * axis[1], turn * axis[2])
+                else:
+                    # Distance of the centre from the ray first: b^2 - a c would lose half of the
+                    # digits at a metre.
+                    middle = -_dot(ray, back) / _dot(ray, ray)
+                    off = _plus(back, middle, ray)
+                    under = square - _dot(off, off)
+                    far[i] = middle - np.sqrt(max(under, 0.0) / _dot(ray, ray))
+                    met[i], outward = under >= 0.0, _plus(back, far[i], ray)
+                out_x[i], out_y[i], out_z[i] = _unit(outward)
 
 
 @_compiled("i8(i8[::1], f8[::1], i8[::1])")
@@ -396,7 +411,28 @@ def lamp_light(
         parts[2, i] = max(_dot(half, normal), none) / np.sqrt(_dot(half, half))
 
 
-@_compiled("void(f4[:, :], f4[:, :], f4[:, :], u2[:, :], f4[:], f4[:], u2[:, :])")
+@_compiled("void(f4[:, ::1], i8, f4[:, ::1], i8, f4[:, ::1], f4[:, ::1], f4)")
+def paint(
+    picture: Singles,
+    left: int,
+    light: Singles,
+    across: int,
+    share: Singles,
+    varies: Singles,
+    texture: float,
+) -> None:
+    """Lays a patch with a ``share`` of each pixel (h, w) over those of a picture from column
+    ``left`` on: its ``light`` from column ``across`` on, times 1 + ``texture`` of what ``varies``.
+    """
+    one = np.float32(1.0)
+    for i in range(share.shape[0]):
+        for j in range(share.shape[1]):
+            behind = picture[i, left + j]
+            seen = light[i, across + j] * (varies[i, j] * texture + one)
+            picture[i, left + j] = behind + (seen - behind) * share[i, j]
+
+
+@_compiled("void(f4[:, ::1], f4[:, ::1], f4[:, ::1], u2[:, ::1], f4[::1], f4[::1], u2[:, ::1])")
 def expose(
     light: Singles,
     response: Singles,
@@ -410,9 +446,13 @@ def expose(
     ``noise`` names, its variance K^2 (electrons + read noise^2), EMVA 1288.
     """
     filled, dark, full, read2, gain2, gain, offset, most = constants
+    named = np.empty(light.shape[1], np.float32)
     for i in range(light.shape[0]):
-        for j in range(light.shape[1]):
+        # in a loop of its own: the next one is then done with vectors
+        for j in range(len(named)):
+            named[j] = levels[noise[i, j]]
+        for j in range(len(named)):
             electrons = min(light[i, j] * response[i, j] * filled + dark, full)
             mean = (electrons + dark_e[i, j]) * gain + offset
-            grey = np.rint(levels[noise[i, j]] * np.sqrt((electrons + read2) * gain2) + mean)
+            grey = np.rint(named[j] * np.sqrt((electrons + read2) * gain2) + mean)
             exposed[i, j] = np.uint16(min(max(grey, np.float32(0.0)), most))

@@ -8,7 +8,6 @@ normal.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from statistics import NormalDist
@@ -24,7 +23,6 @@ Image = NDArray[np.float32]
 Words = NDArray[np.uint16]
 Part = tuple[slice, slice]  # rows and columns
 NOISE_LEVELS = 65536
-BLOCK = 32768  # pixels
 
 
 @cache
@@ -46,12 +44,6 @@ def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma."""
     level = _words(rng, shape[0] * shape[1]).reshape(shape)
     return np.asarray(cv2.LUT(level, _normal_levels()), dtype=np.float32)
-
-
-def in_blocks(image: Image) -> Iterator[slice]:
-    """Rows of an image at a time, which stay in the processor's cache."""
-    rows = max(BLOCK // image.shape[1], 1)
-    return (slice(start, start + rows) for start in range(0, len(image), rows))
 
 
 FAINT = 1e-5  # weights below this are left out
@@ -171,18 +163,12 @@ class OpticalReadout:
         electrons = np.minimum(light * self._response * filled + dark, full)
         return np.asarray((electrons + self._dark_e) * gain + offset)
 
-    def expose(
-        self, light: Image, rng: np.random.Generator, exposure: Exposure | None = None
-    ) -> Grey:
-        """What light on the sensor gives with fresh noise, (h, w): uint8 (uint16 above 8 bits)."""
-        return self.exposed(light, self.noise(rng), exposure)
-
     def noise(self, rng: np.random.Generator) -> Words:
         """Which of `NOISE_LEVELS` is each pixel's, (h, w): all that an exposure needs of chance."""
         return _words(rng, self._response.size).reshape(self._response.shape)
 
     def exposed(self, light: Image, noise: Words, exposure: Exposure | None = None) -> Grey:
-        """As `expose`, with what `noise` gave."""
+        """What light on the sensor gives with `noise`, (h, w): uint8 (uint16 above 8 bits)."""
         pixels = light, self._response, self._dark_e, noise
         constants, exposed = self._constants(exposure or Exposure()), np.empty_like(noise)
         package.kernels.expose(*pixels, _normal_levels(), constants, exposed)

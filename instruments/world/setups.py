@@ -168,18 +168,19 @@ def _columns(hulls: Sequence[Hull]) -> tuple[Floats, Floats, Floats, Floats]:
 
 def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> float:
     """Least gap between two teats in any view, in mm at the nearer one; negative where covered."""
-    least = np.inf
-    hulls = phantom.teat_hulls()
-    for eye in eyes_mm:
+    least, hulls = np.inf, phantom.teat_hulls()
+    for eye_x, eye_y, _ in eyes_mm:
         bearings = []
         for solids in hulls:
-            ends = np.array([solids[0].a_mm, solids[-1].b_mm]) - np.asarray(eye)
-            x, y = ends[:, 0], ends[:, 1]
-            widest = max(hull.radius_a_mm for hull in solids)
-            bearings.append((x / y, widest / y.mean(), y.mean()))
-        for i, (one, r_one, y_one) in enumerate(bearings):
-            for other, r_other, y_other in bearings[i + 1 :]:
-                gaps = np.abs(one - other) - r_one - r_other
-                crossed = (one[0] - other[0]) * (one[1] - other[1]) <= 0.0
-                least = min(least, -1.0 if crossed else float(gaps.min()) * min(y_one, y_other))
-    return float(least)
+            (foot_x, foot_y, _), (end_x, end_y, _) = solids[0].a_mm, solids[-1].b_mm
+            foot_y, end_y = foot_y - eye_y, end_y - eye_y
+            widest, away = max(hull.radius_a_mm for hull in solids), (foot_y + end_y) / 2.0
+            foot, end = (foot_x - eye_x) / foot_y, (end_x - eye_x) / end_y
+            bearings.append((foot, end, widest / away, away))
+        for (foot, end, wide, away), (its_foot, its_end, its_wide, its_away) in combinations(
+            bearings, 2
+        ):
+            gap = min(abs(foot - its_foot), abs(end - its_end)) - wide - its_wide
+            crossed = (foot - its_foot) * (end - its_end) <= 0.0
+            least = min(least, -1.0 if crossed else gap * min(away, its_away))
+    return least

@@ -201,16 +201,10 @@ class ThermalCamera:
         radiance = np.mean([self._radiance(moment) for moment in moments], axis=0)
         return kelvin_from_radiance(self.readout.gathered(radiance))
 
-    def expose(
-        self, state: SceneState, rng: np.random.Generator
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        """One frame: 8-bit as delivered, and centi-kelvin."""
-        return self.exposed(self.expected_k(state), state.time_s, rng)
-
     def exposed(
         self, apparent_k: Floats, time_s: float, rng: np.random.Generator
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        """As `expose`, of what `expected_k` gave."""
+        """One frame of what `expected_k` gave: 8-bit as delivered, and centi-kelvin."""
         centikelvin = self.readout.expose(apparent_k, time_s, rng)
         size = self.camera.width_px, self.camera.height_px
         return self.readout.delivered(centikelvin, *size), centikelvin

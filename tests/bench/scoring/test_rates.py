@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -9,9 +11,11 @@ import pytest
 import scipy
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from bench.scoring.rates import (
     Rate,
+    crossing,
     guarded_n,
     percent,
     percent_apart,
@@ -175,3 +179,54 @@ def test_a_figure_is_read_on_the_right_side_of_its_limit(
     fraction: float, limit: float, text: str
 ) -> None:
     assert percent_apart(fraction, limit) == text
+
+
+MONOTONE: dict[str, Callable[[float], float]] = {
+    "straight": lambda off: off,
+    "steep": lambda off: float(np.tanh(300.0 * off)),
+    "flat at its zero": lambda off: off**3,
+    "steepest at its zero": lambda off: float(np.cbrt(off)),
+    "a step": lambda off: 1.0 if off > 0.0 else -1.0,
+    "falls": lambda off: float(np.exp(-off)) - 1.0,
+}
+
+
+@given(
+    st.sampled_from(sorted(MONOTONE)),
+    st.floats(-3.0, 3.0),
+    st.floats(1e-6, 9.0),
+    st.floats(1e-6, 9.0),
+)
+def test_a_crossing_is_where_scipy_finds_it(
+    form: str, zero: float, below: float, above: float
+) -> None:
+    asked: list[float] = []
+
+    def function(x: float) -> float:
+        asked.append(x)
+        return MONOTONE[form](x - zero)
+
+    low, high = zero - below, zero + above
+    found, steps = crossing(function, low, high), len(asked)
+    assert low <= min(asked)
+    assert max(asked) <= high
+    assert steps <= 3 * 45  # halves alone take some 43 from 18 to 2e-12
+    near = 2e-4 if form == "flat at its zero" else 5e-12  # where rounding makes a cube 0
+    assert found == pytest.approx(zero, abs=near)
+    assert found == pytest.approx(brentq(function, low, high, maxiter=9999), abs=near)
+
+
+@pytest.mark.parametrize(("low", "high", "nearer"), [(1.0, 3.0, 1.0), (-3.0, -2.0, -2.0)])
+def test_without_a_crossing_it_is_the_nearer_end(low: float, high: float, nearer: float) -> None:
+    assert crossing(lambda x: x, low, high) == nearer
+
+
+def test_a_crossing_loads_no_part_of_scipy() -> None:
+    code = (
+        "import sys; from bench.scoring.rates import crossing; crossing(lambda x: x - 0.3, 0, 1);"
+        "print(sorted(name for name in sys.modules if name.startswith('scipy.opt')))"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert loaded.strip() == "[]"

@@ -48,8 +48,8 @@ class Bench:
         for _ in range(count):
             self._taken += 1
             path = self._folder / f"{self._taken}.npy"
-            fresh = np.random.default_rng(self._taken)
-            np.save(path, self._camera.expose(flat, fresh, self._exposure))
+            fresh = self._camera.noise(np.random.default_rng(self._taken))
+            np.save(path, self._camera.exposed(flat, fresh, self._exposure))
             names.append(str(path))
         return names
 

@@ -160,5 +160,8 @@ def test_longer_exposure_and_gain_brighten_and_saturate() -> None:
 
 def test_drift_follows_the_scene_s_clock() -> None:
     camera, states = renderer().thermal, [replace(WARM, time_s=t) for t in (0.0, 299.0, 301.0)]
-    frames = [camera.expose(s, np.random.default_rng(3))[1].astype(float) for s in states]
+    frames = [
+        camera.exposed(camera.expected_k(s), s.time_s, np.random.default_rng(3))[1].astype(float)
+        for s in states
+    ]
     assert np.abs(frames[1] - frames[0]).mean() > 3.0 * np.abs(frames[2] - frames[0]).mean()

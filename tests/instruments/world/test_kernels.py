@@ -113,6 +113,19 @@ def within(hull: Hull, points: Floats) -> Floats:
     return best
 
 
+@given(seed=SEEDS)
+def test_what_a_ray_meets_is_the_same_alone_and_among_any_others(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    solids = Solids.from_hulls(some_solids(rng))
+    which = np.repeat(rng.integers(0, len(solids), 4), [1, 2500, 3, 40])
+    x, y = rng.uniform(-0.15, 0.15, (2, len(which)))
+    together = intersect(solids, which, x, y)
+    order = rng.permutation(len(which))
+    apart = intersect(solids, which[order], x[order], y[order])
+    for found, other in zip(together, apart, strict=True):
+        np.testing.assert_array_equal(found[..., order], other)
+
+
 @pytest.mark.slow
 @given(seed=SEEDS)
 def test_a_ray_that_hits_ends_on_the_surface_and_nowhere_before_it_inside(seed: int) -> None:
@@ -142,7 +155,7 @@ def test_a_frame_is_what_emva_1288_makes_of_light_and_the_same_noise(seed: int, 
     rays = np.meshgrid(np.linspace(-0.4, 0.4, shape[1]), np.linspace(-0.3, 0.3, shape[0]))
     camera = OpticalReadout(sensor, (rays[0], rays[1]), np.random.SeedSequence(seed))
     light, shutter = rng.uniform(0.0, 1.3, shape).astype(np.float32), Exposure(0.018, 1.2)
-    frame = camera.expose(light, np.random.default_rng(seed), shutter)
+    frame = camera.exposed(light, camera.noise(np.random.default_rng(seed)), shutter)
     mean, gain = camera.mean(light, shutter), np.float32(sensor.gain_dn_per_e * 1.2)
     electrons = (mean - np.float32(sensor.offset_dn)) / gain - camera._dark_e
     noise = normal_noise(np.random.default_rng(seed), shape)

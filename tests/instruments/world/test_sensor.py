@@ -20,9 +20,8 @@ def readout(sensor: OpticalSensor) -> OpticalReadout:
 def frames(sensor: OpticalSensor, level: float, count: int) -> Image:
     camera = readout(sensor)
     light = np.full(SHAPE, level, dtype=np.float32)
-    return np.array(
-        [camera.expose(light, np.random.default_rng(i)) for i in range(count)], dtype=np.float32
-    )
+    noises = (camera.noise(np.random.default_rng(i)) for i in range(count))
+    return np.array([camera.exposed(light, noise) for noise in noises], dtype=np.float32)
 
 
 def test_noise_is_unit_normal() -> None:
