@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable
@@ -219,6 +220,12 @@ def test_a_crossing_is_where_scipy_finds_it(
 @pytest.mark.parametrize(("low", "high", "nearer"), [(1.0, 3.0, 1.0), (-3.0, -2.0, -2.0)])
 def test_without_a_crossing_it_is_the_nearer_end(low: float, high: float, nearer: float) -> None:
     assert crossing(lambda x: x, low, high) == nearer
+
+
+@pytest.mark.parametrize("wrong", [0.0, 1.0, 0.5])
+def test_what_is_no_number_has_no_crossing(wrong: float) -> None:
+    with pytest.raises(ValueError, match=f"no number at {wrong}"):
+        crossing(lambda x: math.nan if x == wrong else x - 0.3, 0.0, 1.0)
 
 
 def test_a_crossing_loads_no_part_of_scipy() -> None:
