@@ -146,6 +146,29 @@ def test_hands_without_a_check_point_or_a_board_say_so() -> None:
         hands(world()).ask(op.BoardTouch(0, "Touch it."))
 
 
+@pytest.mark.parametrize(
+    ("wanted", "stop", "what"),
+    [
+        (op.Touch(2, 4), op.OperatorSkip, "the end of teat 2"),
+        (op.CheckPoint(1, 5), op.OperatorAbort, "the check point"),
+        (op.BoardTouch(0, "Touch it."), op.OperatorAbort, "the board"),
+    ],
+)
+def test_where_the_arm_does_not_get_there_hands_let_go_and_name_the_place(
+    wanted: op.Request, stop: type[Exception], what: str
+) -> None:
+    here = world()
+    who = hands(here)
+    who.ask(FIXED)
+    who.ask(wanted)
+    at = np.round(tip(here)).astype(int).tolist()
+    who.way = lambda _, axis: None
+    with pytest.raises(stop) as said:
+        who.ask(wanted)
+    assert f"the arm doesn't reach {what} at {at} mm. Have it nearer" in str(said.value)
+    assert here.arm_target() is None
+
+
 # Calibration boards
 
 PATTERN = Pattern("chessboard", 10, 7, 40.0, 20.0)
