@@ -16,6 +16,7 @@ from instruments.operators import operator as op
 from instruments.world.boards import Board, poses
 from instruments.world.optics import Floats
 from instruments.world.phantom import PlatePose, spoken_name
+from instruments.world.setups import Situation
 from instruments.world.solids import as_point
 from instruments.world.world import World
 
@@ -27,6 +28,7 @@ FIXED_TURNS_RAD = ((-0.35, -0.25), (0.30, 0.30))  # about the board's own axes, 
 FIXED_SHIFTS_MM = ((-40.0, -50.0, 30.0), (-40.0, 70.0, -10.0))
 HEATED_C = 40.0
 LOOK_S = 1.0  # between two looks at the interlocks while a prompt takes its time
+MOST_WHITE, DIMMER = 0.2, 0.95  # share of a picture with a drawn scene; a turn of the lamps' knob
 NEARER = "Have it nearer to the arm, or the arm elsewhere (arm_placed in [emulation])"
 
 Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
@@ -113,9 +115,18 @@ class EmulatedOperator:
     def _set_up(self, wanted: op.Arrangement) -> op.Answer:
         self._world.show(None)
         self._stands = wanted, pose = self._placed(wanted)
-        self._world.arrange(wanted.phantom.moved(pose), wanted.objects, wanted.scene)
+        scene = wanted.scene and self._lit(wanted.scene)
+        self._world.arrange(wanted.phantom.moved(pose), wanted.objects, scene)
         seen = self._world.renderer.visible_ends(self._world.scene())
         return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
+
+    def _lit(self, scene: Situation) -> Situation:
+        """As who looks at the optical pictures lights it: less where too much would be white."""
+        shown, light = self._world.renderer, scene.lighting
+        for camera in (shown.left, shown.right):
+            while camera.white_share(light, scene.backdrop, scene.exposure) > MOST_WHITE:
+                light = replace(light, brightness=DIMMER * light.brightness)
+        return scene if light is scene.lighting else replace(scene, lighting=light)
 
     def _touch(self, teat: int, of: int) -> None:
         if teat > 1 and self._makes("forgotten teat"):

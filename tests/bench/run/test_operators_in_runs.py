@@ -132,3 +132,13 @@ def test_before_the_trials_it_ends_the_run(
     (aborted,) = texts(record, "aborted")
     assert aborted.startswith(said)
     assert texts(record, "dropped out") == texts(record, "fault") == []
+
+
+GLARING = SCRIPT.replace('layout = "table-5-1"', 'family = "non_vertical"\nmember = 16069')
+
+
+def test_a_drawn_scene_is_lit_so_that_the_frame_check_takes_it(tmp_path: Path) -> None:
+    """Of this member 29 % are white as drawn: its board is light, and its lamps are strong."""
+    record = record_of(tmp_path, script=GLARING.replace('set_up = "Teats as in table 5.1."', ""))
+    assert len(record.trials) == 3, texts(record, "fault")
+    assert texts(record, "frames") == []

@@ -14,6 +14,7 @@ from instruments.operators import operator as op
 from instruments.operators.emulated import SHOWN, BoardHands, EmulatedOperator, Mistake
 from instruments.world.boards import Pattern
 from instruments.world.phantom import PIVOT_MM, PlatePose
+from instruments.world.situations import situation
 from instruments.world.world import World
 from tests.instruments.operators.people import arrangement, hands, world
 
@@ -167,6 +168,23 @@ def test_where_the_arm_does_not_get_there_hands_let_go_and_name_the_place(
         who.ask(wanted)
     assert f"the arm doesn't reach {what} at {at} mm. Have it nearer" in str(said.value)
     assert here.arm_target() is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("member", [16069, 16000])
+def test_a_scene_is_lit_less_where_too_much_of_a_picture_would_be_white(member: int) -> None:
+    here, sent = world(), situation("non_vertical", member)
+    hands(here).ask(op.Arrangement(sent.name, sent.phantom, (), "Set it up.", scene=sent))
+    shown, scene = here.renderer, here.scene()
+    levels = [one.expected(scene) for one in (shown.left, shown.right)]
+    assert max(np.mean(level >= 254.0) for level in levels) < 0.25
+    drawn = here.renderer.left.expected(replace(scene, lighting=sent.lighting))
+    if member == 16000:  # as it was drawn
+        assert scene.lighting == sent.lighting
+    else:
+        assert np.mean(drawn >= 254.0) > 0.25
+        assert 0.8 < scene.lighting.brightness / sent.lighting.brightness < 1.0
+        assert replace(scene.lighting, brightness=sent.lighting.brightness) == sent.lighting
 
 
 # Calibration boards
