@@ -63,8 +63,11 @@ def processor_s() -> float:
 
 
 def load_per_processor() -> float | None:
-    """Processes that want a processor over a minute, for each; None on Windows."""
-    return os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else None
+    """Processes that want a processor over a minute, for each; None where no system says it."""
+    try:
+        return os.getloadavg()[0] / (os.cpu_count() or 1)
+    except (AttributeError, OSError):  # Windows; no /proc
+        return None
 
 
 UNBROKEN: set[CodeType] = set()

@@ -95,6 +95,17 @@ def test_a_wrong_argument_ends_an_example_as_a_command(words: str) -> None:
 
 
 @pytest.mark.slow
+def test_another_seed_is_another_herd(tmp_path: Path) -> None:
+    cow = example("herd").Cow
+    ends = [cow(seed, 0).visit(8.0)[0].phantom.ends_mm for seed in (1, 1, 2)]
+    assert (ends[0] == ends[1]).all()
+    assert (ends[0] != ends[2]).any()
+    command = [sys.executable, "herd.py", "1", "0", str(tmp_path / "herd.csv"), "--seed", "two"]
+    alone = subprocess.run(command, cwd=EXAMPLES, capture_output=True, text=True, check=False)
+    assert "--seed: invalid int value: 'two'" in alone.stderr
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
 def test_masks_and_key_points_are_those_of_the_pictures(rig: str, tmp_path: Path) -> None:
     """Read by pycocotools. The apex is on the outline, and teats are unlike what is about them."""

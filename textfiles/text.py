@@ -57,8 +57,20 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """``; did you mean "x"?`` when one of ``known`` is near, else the empty string."""
     there = list(known)
     begun = [one for one in there if one.startswith(word)] if word else []
-    near = difflib.get_close_matches(word, there, n=1, cutoff=0.6) or begun
+    near = near_words(word, there) or begun
     return f'; did you mean "{near[0]}"?' if near else ""
+
+
+def near_words(word: str, known: Iterable[str]) -> list[str]:
+    """Those of ``known`` that ``word`` may be a slip of, the nearest first: one that begins with
+    another letter, and doesn't hold the word, has to have more in common.
+    """
+    there = list(known)
+    near, nearer = (
+        difflib.get_close_matches(word, there, n=max(len(there), 1), cutoff=share)
+        for share in (0.6, 0.75)
+    )
+    return [one for one in near if one in nearer or one[:1] == word[:1] or word in one]
 
 
 def plural(n: int, thing: str, verb: str = "") -> str:

@@ -173,10 +173,13 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync(handle: int) -> None:
-    """Down to the platter: macOS's fsync stops at the drive's cache (fsync(2) there)."""
+    """Down to the platter: macOS's fsync stops at the drive's cache (fsync(2) there), and what it
+    needs instead is refused on a network's folder.
+    """
     if sys.platform == "darwin":
         import fcntl
 
-        fcntl.fcntl(handle, fcntl.F_FULLFSYNC)
-    else:
-        os.fsync(handle)
+        with suppress(OSError):
+            fcntl.fcntl(handle, fcntl.F_FULLFSYNC)
+            return
+    os.fsync(handle)

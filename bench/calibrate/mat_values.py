@@ -20,7 +20,7 @@ OBJECT = "an object of MATLAB's"  # its own format, which isn't published
 
 
 def main(path: str) -> int:
-    with suppress(ImportError):  # Windows
+    with suppress(ImportError, ValueError, OSError):  # Windows; a system that allows less, or none
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))

@@ -13,7 +13,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import nullcontext, suppress
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from textwrap import wrap
@@ -24,7 +23,7 @@ from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches, 
 from bench.safety.signals import installed
 from bench.version import __version__, overwritten
 from reports.sanitize import keep_writing, sanitizing
-from textfiles.text import did_you_mean, full_stop, in_command, words_of
+from textfiles.text import did_you_mean, full_stop, in_command, near_words, words_of
 from textfiles.whole import is_full
 
 if TYPE_CHECKING:
@@ -260,7 +259,7 @@ class Parser(argparse.ArgumentParser):
         choices = list(action.choices or ())
         if action.choices is None or value in choices:
             return
-        near = get_close_matches(str(value), map(str, choices), n=3, cutoff=0.6)
+        near = near_words(str(value), map(str, choices))[:3]
         said = " or ".join(f"'{one}'" for one in near)
         rest = f"choose from {', '.join(map(str, choices))}"
         if near:

@@ -58,18 +58,16 @@ from instruments.drivers.entry_points import plugin_url
 from instruments.drivers.protocols import Cameras as OpenCameras
 from instruments.errors import DeviceError
 from instruments.microscribe.unit import shipped_unit
+from instruments.operators.emulated import NEARER
 from instruments.operators.operator import (
     Answer,
-    CheckPoint,
     OperatorAbort,
     OperatorSkip,
     Request,
-    Touch,
     no_check,
 )
 from instruments.stage.protocol import AXES
 from instruments.stage.settings import StageSettings
-from instruments.world.phantom import spoken_name
 
 MOST_SETS = 12  # rendered; a second or so each on a busy machine
 DARK, LIGHT = 60, 180  # of a picture that passes for one
@@ -416,44 +414,34 @@ class StandInCameras:
 
 
 class ReachOperator:
-    """The operator of ``twin``, who checks the arm's reach first: an emulated arm that is pulled
-    too far hangs up, as if it had lost its cable. A person ``leans`` the stylus where that helps.
+    """The operator of ``twin``, whose reports of what the arm doesn't reach are findings. A person
+    ``leans`` the stylus where that helps.
     """
 
     def __init__(
         self, twin: EmulatedRig, placed: Placement, events: Events, *, leans: bool
     ) -> None:
-        self._twin, self._events, self._leans = twin, events, leans
+        self._twin, self._events = twin, events
         self._arm_from_world = Motion.from_vectors(placed.om, placed.T).inverse()
-        # by place to within a millimetre, how the stylus was held: no pose is solved twice
-        self._reached: dict[bytes, Floats] = {}
+        # by place to within a millimetre, how the stylus is held: no pose is solved twice
+        self._ways: dict[bytes, Floats | None] = {}
+        if leans:
+            twin.operator.way = self._leaning
 
     def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
         """Raises OperatorAbort for a check point out of reach, OperatorSkip for a teat's end."""
-        answer = self._twin.operator.ask(request, check)
-        if isinstance(request, CheckPoint) and (why := self._out_of_reach("the check point")):
-            raise OperatorAbort(why)
-        if isinstance(request, Touch):
-            name = self._twin.world.phantom().teats[request.teat - 1].name
-            if why := self._out_of_reach(f"the end of {spoken_name(request.teat, name)}"):
-                raise OperatorSkip(why)
-        return answer
+        try:
+            return self._twin.operator.ask(request, check)
+        except (OperatorAbort, OperatorSkip) as unreached:
+            why = unreached.reason if isinstance(unreached, OperatorSkip) else str(unreached)
+            self._events.event("reach", why.removesuffix(f". {NEARER}"))
+            raise
 
-    def _out_of_reach(self, what: str) -> str:
-        """Empty where the arm gets there, leaning if need be; else the tip is let go of."""
-        world, held = self._twin.world, self._twin.world.arm_target()
-        if held is None:
-            return ""
-        point, axis = held
+    def _leaning(self, point: Floats, axis: Floats) -> Floats | None:
+        """The stylus's axis by which the arm gets there, leaning if need be."""
         key = np.round(point).tobytes() + axis.tobytes()
-        if key not in self._reached:
+        if key not in self._ways:
             there, R = self._arm_from_world.apply(point), self._arm_from_world.R
-            way = way_to(self._twin.arm.unit, there, R @ axis, upright_only=not self._leans)
-            if way is None:
-                world.hold(None)
-                why = f"the arm doesn't reach {what} at {np.round(point).astype(int).tolist()} mm"
-                self._events.event("reach", why)
-                return why
-            self._reached[key] = np.asarray(R.T @ way)
-        world.hold(point, self._reached[key])
-        return ""
+            way = way_to(self._twin.arm.unit, there, R @ axis, upright_only=False)
+            self._ways[key] = None if way is None else np.asarray(R.T @ way)
+        return self._ways[key]

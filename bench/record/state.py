@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from enum import StrEnum
@@ -75,11 +76,15 @@ def end_in_reserve(folder: Path, session: int) -> dict[str, Any]:
 
 
 def this_process() -> dict[str, Any]:
-    """Host, number and start: no other process has all three, not after a restart either."""
+    """Host, number and start: no other process has all three, not after a restart either. The start
+    is None where the system doesn't say it: a Linux without /proc.
+    """
     import psutil
 
-    pid = os.getpid()
-    return {"host": platform.node(), "pid": pid, "created": psutil.Process(pid).create_time()}
+    pid, created = os.getpid(), None
+    with suppress(psutil.Error, OSError):
+        created = psutil.Process(pid).create_time()
+    return {"host": platform.node(), "pid": pid, "created": created}
 
 
 def still_runs(holder: Mapping[str, Any]) -> bool:
@@ -98,7 +103,20 @@ def still_runs(holder: Mapping[str, Any]) -> bool:
         process = psutil.Process(pid)
         same = created is None or abs(process.create_time() - created) < CREATED_WITHIN_S
         return bool(same and process.status() != psutil.STATUS_ZOMBIE)
-    except (psutil.NoSuchProcess, ValueError, OverflowError):
+    except psutil.NoSuchProcess:
+        return sys.platform == "linux" and _unseen(pid, Path(psutil.PROCFS_PATH))
+    except (ValueError, OverflowError):
         return False
     except psutil.Error:  # another user's
         return True
+
+
+def _unseen(pid: int, proc: Path) -> bool:
+    """Whether Linux has the process without showing it: there is no /proc, or it is another's."""
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except (ProcessLookupError, OverflowError):
+        return False
+    return not (proc / "self").exists()

@@ -112,7 +112,7 @@ class InstrumentStatus:
         last = f" (last {self.last})" if self.last else ""
         if self.link in (LinkState.SILENT, LinkState.AWAY):
             # a bath is asked every second, the others when they are needed
-            since = " for {}" if self.name == "bath" else ", last heard {} ago"
+            since = " for {}" if self.name == "bath" else ", last answer {} ago"
             since = "" if self.age_s is None else since.format(time_text(self.age_s))
             return f"{self.name}: {self.how or 'no answer'}{since}{last}"
         return f"{self.name}: {SAFE_WORDS[self.safe]}{last}"
@@ -126,7 +126,7 @@ SAFE_WORDS: Mapping[Safe, str] = {
     Safe.IN_USE: "in use",
     Safe.AT_REST: "at rest",
     Safe.READ_BACK: "safe, read back",
-    Safe.SENT: "told to stop, not acknowledged",
+    Safe.SENT: "stop sent, not acknowledged",
     Safe.FAILED: "not safe",
     Safe.UNKNOWN: "not known since the bench died",
 }
@@ -486,7 +486,7 @@ def _orphaned(
         return replace(one, safe=Safe.UNKNOWN)
     if one.name == "stage":
         found = guardian.get("stage") or {"stands": False}
-        safe, error = found["stands"], "not stopped" if "error" in found else "nobody has asked it"
+        safe, error = found["stands"], "not stopped" if "error" in found else "not asked"
     else:
         safe, error = guardian["standby"], f"not reached in {plural(guardian['tries'], 'try')}"
     if safe:

@@ -24,6 +24,7 @@ from instruments.drivers.entry_points import Kind, emulator_of, load, plugin_url
 from instruments.listener import Device, Listener
 from instruments.microscribe.emulator import ArmEmulator, Hand
 from instruments.microscribe.faults import FOREVER
+from instruments.microscribe.kinematics import OutOfReachError
 from instruments.operators.emulated import EmulatedOperator
 from instruments.pty_listener import PtyListener
 from instruments.stage.emulator.board import AMOUNTS, StageEmulator, StageFault
@@ -54,10 +55,13 @@ class PlacedHand:
     def arm_target(self) -> tuple[NDArray[np.float64], NDArray[np.float64] | None] | None:
         """Where the tip is held, in the arm's own frame."""
         target = self._hand.arm_target()
-        if target is None:
-            return None
-        point, axis = target
-        return self._arm_from_world.apply(point), (
+        return None if target is None else self.placed(*target)
+
+    def placed(
+        self, point_mm: NDArray[np.float64], axis: NDArray[np.float64] | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """A point (3,) mm and a stylus's axis (3,) of the world in the arm's own frame."""
+        return self._arm_from_world.apply(point_mm), (
             None if axis is None else np.asarray(self._arm_from_world.R @ axis)
         )
 
@@ -104,11 +108,14 @@ class EmulatedRig:
             check_point_mm=rig.rig.arm.check_point_mm,
             mistakes=emulation.mistakes,
         )
+        if plugin_url(rig.rig.arm.url) is None:
+            self.operator.way = self._way
         self._clock, self._host, self._pty, self._paced = clock, host, pty, paced
         self.listeners: dict[str, Listener | PtyListener] = {}  # each end of a cable
         placed = Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
+        self._hand = PlacedHand(self.world, placed)
         self.arm = ArmEmulator(
-            PlacedHand(self.world, placed),
+            self._hand,
             clock,
             unit=rig.arm_unit,
             seed=seed,
@@ -136,6 +143,16 @@ class EmulatedRig:
         except BaseException:
             self.close()
             raise
+
+    def _way(
+        self, point_mm: NDArray[np.float64], axis: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Of the world: ``axis`` (3,) where the arm can hold its tip so at the point (3,) mm."""
+        try:
+            self.arm.check_reach(*self._hand.placed(point_mm, axis))
+        except OutOfReachError:
+            return None
+        return axis
 
     def _bath_controller(self, rig: LoadedRig) -> BathEmulator | LineEmulator | None:
         """By the rig's profile; None where no emulator has its protocol (another bath is used)."""

@@ -17,6 +17,7 @@ from bench.truth.uncertainty import Triple, triple
 from instruments.clock import wall_time
 from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError
+from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
 from instruments.stage.protocol import HOME_AGAIN
 from instruments.world.phantom import Phantom, PlatePose
 
@@ -75,7 +76,11 @@ def register(
         report(f"registering the stage: position {number} of {len(poses)}")
         stage.move_to(**settings.machine(there), feed_mm_min=settings.feed_mm_per_min)
         ends = ends_of(phantom.moved(there), known=False)
-        point, _ = toucher.touch_one(teat, ends, so_far.taken)
+        try:
+            point, _ = toucher.touch_one(teat, ends, so_far.taken)
+        except (OperatorSkip, OperatorRepeat) as wish:  # of a trial, and there is none yet
+            why = f"position {number} of the stage's registration was not touched"
+            raise OperatorAbort(f"{why}: {wish.reason or wish}") from wish
         stations.append(Station(stands_at(stage), point.xyz_mm, u_mm))
         so_far.taken.clear()
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)

@@ -1,13 +1,14 @@
 """What a cow's history is worth: cows that come several times, with teats that a post hides now
 and then. Their ends are predicted from earlier visits, and compared with the last visit alone.
 
-    python docs/examples/herd.py 10 12 herd.csv
+    python docs/examples/herd.py 10 12 herd.csv --seed 2
 
 Udders fill between milkings and shrink by them (Miller 1995: rear teats come nearer to each other
 by 45 to 50 %, others by 25 to 29 %), and each teat stands a millimetre elsewhere at each visit.
 Only confirmed ends (attached, touched) make the history: what was only detected would feed itself.
 """
 
+import argparse
 import csv
 import math
 from collections.abc import Iterator
@@ -28,6 +29,7 @@ OWN_MM, ATTACHED_MM = 1.0, 0.4  # a teat's own variation; how well an attached e
 NEAR_MM, POST_MM = 30.0, 38.0  # a prediction of an end; a post before a hidden one
 FIRST = 3  # visits that only make the history
 CHI2_95_OF_3 = 7.815
+Row = dict[str, Any]
 
 
 class Cow:
@@ -77,9 +79,7 @@ class Cow:
         return teats, ends[kept] + self._chance.normal(0.0, ATTACHED_MM, (len(kept), 3))
 
 
-def guesses(
-    seed: int, number: int, visits: int, rig: Any, detector: Any
-) -> Iterator[dict[str, Any]]:
+def guesses(seed: int, number: int, visits: int, rig: Any, detector: Any) -> Iterator[Row]:
     """A row for each end that no camera sees: how far off its prediction is, and the last visit."""
     cow = Cow(seed, number)
     at_h, known = 0.0, list[tuple[float, float, tuple[int, ...], Any]]()
@@ -124,7 +124,7 @@ def guesses(
 def main(cows: int, visits: int, out: Path, seed: int = 1, rig: str = "emulated") -> str:
     """Write a row an unseen end; gives back the summary."""
     with out.open("w", encoding="utf-8", newline="") as file:
-        rows = list[dict[str, Any]]()
+        rows = list[Row]()
         for number in range(cows):
             with bench.open_detector(DETECTOR) as detector:
                 rows += guesses(seed, number, visits, rig, detector)
@@ -142,5 +142,9 @@ def main(cows: int, visits: int, out: Path, seed: int = 1, rig: str = "emulated"
 
 
 if __name__ == "__main__":
-    with bench.program(__doc__, int, int, Path) as given:
-        print(main(*given))
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    for name, kind in (("cows", int), ("visits", int), ("out", Path)):
+        parser.add_argument(name, type=kind)
+    parser.add_argument("--seed", type=int, default=1)
+    with bench.program(__doc__):
+        print(main(**vars(parser.parse_args())))

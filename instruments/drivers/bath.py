@@ -177,7 +177,7 @@ class PluggedBath(Plugged):
             state = self._state()
         if not state.running or abs(state.set_point_c - set_point_c) > SAME_K:
             seen = f"{'running' if state.running else 'standby'}, {state.set_point_c:g} degC"
-            what, asked = "it does not do what it was told", f"start at {set_point_c:g} degC"
+            what, asked = "it does not do what was asked", f"start at {set_point_c:g} degC"
             raise DeviceError(self.who, what, asked=asked, seen=seen, hint=self._border.look)
 
     def standby(self) -> None:

@@ -15,7 +15,8 @@ from instruments.clock import sleep_looking
 from instruments.operators import operator as op
 from instruments.world.boards import Board, poses
 from instruments.world.optics import Floats
-from instruments.world.phantom import PlatePose
+from instruments.world.phantom import PlatePose, spoken_name
+from instruments.world.setups import Situation
 from instruments.world.solids import as_point
 from instruments.world.world import World
 
@@ -27,14 +28,21 @@ FIXED_TURNS_RAD = ((-0.35, -0.25), (0.30, 0.30))  # about the board's own axes, 
 FIXED_SHIFTS_MM = ((-40.0, -50.0, 30.0), (-40.0, 70.0, -10.0))
 HEATED_C = 40.0
 LOOK_S = 1.0  # between two looks at the interlocks while a prompt takes its time
+MOST_WHITE, DIMMER = 0.2, 0.95  # share of a picture with a drawn scene; a turn of the lamps' knob
+LEAST = 0.1  # brightness, of that which was drawn
+NEARER = "Have it nearer to the arm, or the arm elsewhere (arm_placed in [emulation])"
 
 Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
+
+
+# of a tip (3,) mm and the stylus's axis (3,): the axis by which the arm gets there, None if by none
+Way = Callable[[Floats, Floats], Floats | None]
 
 
 class EmulatedOperator:
     """A pair of hands in ``world``. Standard deviations: ``hand_error_mm`` of the tip along each
     axis, ``placement_error_mm`` and ``placement_error_rad`` of the plate. ``mistakes`` happen at
-    the first occasion.
+    the first occasion. ``way``: what the arm reaches; everything unless given.
     """
 
     def __init__(
@@ -48,7 +56,9 @@ class EmulatedOperator:
         tip_radius_mm: float = 0.0,
         check_point_mm: tuple[float, float, float] | None = None,
         mistakes: Sequence[Mistake] = (),
+        way: Way = lambda _, axis: axis,
     ) -> None:
+        self.way = way
         self._world = world
         self._hand_error_mm = hand_error_mm
         self._placement = np.array([placement_error_mm, placement_error_mm, placement_error_rad])
@@ -62,7 +72,9 @@ class EmulatedOperator:
         self._boards = BoardHands(world)
 
     def ask(self, request: op.Request, check: Callable[[], None] = op.no_check) -> op.Answer:
-        """Raises ValueError for a check point or a board that isn't there, OperatorEnough."""
+        """Raises ValueError for a check point or a board that isn't there, OperatorEnough; where
+        the arm doesn't get there OperatorSkip for a teat's end, OperatorAbort for other points.
+        """
         if isinstance(request, op.Task | op.NextTrial | op.Finish):
             return op.DONE
         if not isinstance(request, op.Release):
@@ -78,24 +90,47 @@ class EmulatedOperator:
                     raise ValueError(f"{what}; give it check_point_mm")
                 turn, out, up = 2.0 * np.pi * (touch - 1) / of, np.sin(SWING_RAD), np.cos(SWING_RAD)
                 lean = np.array([out * np.cos(turn), out * np.sin(turn), up])
-                self._world.hold(np.array(self._check_point_mm), lean)
+                self._hold(
+                    np.array(self._check_point_mm), lean, op.OperatorAbort, "the check point"
+                )
             case op.BoardTouch(corner):
-                self._hold(*self._boards.tip(corner, self._tip_radius_mm))
+                tip, axis = self._boards.tip(corner, self._tip_radius_mm)
+                self._hold(self._by_hand(tip), axis, op.OperatorAbort, "the board")
             case _:
                 self._world.hold(None)
                 if isinstance(request, op.BoardPose):
                     self._world.show(self._boards.held(request))
         return op.DONE
 
-    def _hold(self, tip_mm: Floats, axis: Floats) -> None:
-        self._world.hold(tip_mm + self._rng.normal(0.0, self._hand_error_mm, 3), axis)
+    def _by_hand(self, tip_mm: Floats) -> Floats:
+        return tip_mm + self._rng.normal(0.0, self._hand_error_mm, 3)
+
+    def _hold(self, tip_mm: Floats, axis: Floats, stop: type[Exception], what: str) -> None:
+        """Hold the tip there; where the arm doesn't get there, let go of it and raise ``stop``."""
+        way = self.way(tip_mm, axis)
+        self._world.hold(tip_mm, way)
+        if way is None:
+            where = np.round(tip_mm).astype(int).tolist()
+            raise stop(f"the arm doesn't reach {what} at {where} mm. {NEARER}")
 
     def _set_up(self, wanted: op.Arrangement) -> op.Answer:
         self._world.show(None)
         self._stands = wanted, pose = self._placed(wanted)
-        self._world.arrange(wanted.phantom.moved(pose), wanted.objects, wanted.scene)
+        scene = wanted.scene and self._lit(wanted.scene)
+        self._world.arrange(wanted.phantom.moved(pose), wanted.objects, scene)
         seen = self._world.renderer.visible_ends(self._world.scene())
         return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
+
+    def _lit(self, scene: Situation) -> Situation:
+        """As who looks at the optical pictures lights it: less where too much would be white."""
+        shown, light = self._world.renderer, scene.lighting
+        for camera in (shown.left, shown.right):
+            while (
+                light.brightness > LEAST * scene.lighting.brightness
+                and camera.white_share(light, scene.backdrop, scene.exposure) > MOST_WHITE
+            ):
+                light = replace(light, brightness=DIMMER * light.brightness)
+        return scene if light is scene.lighting else replace(scene, lighting=light)
 
     def _touch(self, teat: int, of: int) -> None:
         if teat > 1 and self._makes("forgotten teat"):
@@ -104,7 +139,8 @@ class EmulatedOperator:
         phantom = self._world.phantom()
         # what the arm reads is the ball's centre
         tip = phantom.ends_mm[at] + self._tip_radius_mm * phantom.axes[at]
-        self._hold(tip, STYLUS_AXIS)
+        what = f"the end of {spoken_name(at + 1, phantom.teats[at].name)}"
+        self._hold(self._by_hand(tip), STYLUS_AXIS, op.OperatorSkip, what)
 
     def _placed(self, wanted: op.Arrangement) -> tuple[op.Arrangement, PlatePose]:
         """What was done, and the plate's pose: kept where it stands as asked, else nearly it."""

@@ -1,6 +1,6 @@
 """The emulated operator of another process ('teatbench emulate'), asked in lines of JSON:
 ``{"do": "touch", "with": {"teat": 2, "of": 4}}``. A line answers: ``{"done": {"visible": []}}``,
-``{"enough": "..."}`` or ``{"refused": "..."}``.
+``{"enough": "..."}``, ``{"skipped": "..."}``, ``{"aborted": "..."}`` or ``{"refused": "..."}``.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ ASKED: dict[str, type[op.Request]] = {
     "touch_board": op.BoardTouch,
     "release": op.Release,
 }
+STOPS = {"enough": op.OperatorEnough, "skipped": op.OperatorSkip, "aborted": op.OperatorAbort}
 NAMES = {request: name for name, request in ASKED.items()}
 
 
@@ -61,6 +62,10 @@ class OperatorPort:
             return {"done": self._operator.ask(request)}
         except op.OperatorEnough as enough:
             return {"enough": str(enough)}
+        except op.OperatorSkip as skip:
+            return {"skipped": skip.reason}
+        except op.OperatorAbort as abort:
+            return {"aborted": str(abort)}
         except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError) as error:
             return {"refused": f"{type(error).__name__}: {error}"}
 
@@ -104,7 +109,9 @@ class RemoteOperator:
 
 
 def read_line(line: bytes, do: str, who: str) -> op.Answer:
-    """The answer in a line to ``do``. Raises OperatorEnough, DeviceError, ProtocolError."""
+    """The answer in a line to ``do``. Raises OperatorEnough, OperatorSkip, OperatorAbort,
+    DeviceError, ProtocolError.
+    """
     try:
         answer = from_json(line)
         if isinstance(answer, dict) and "done" in answer:
@@ -114,6 +121,7 @@ def read_line(line: bytes, do: str, who: str) -> op.Answer:
     if not isinstance(answer, dict):
         what, hint = "this is no operator of 'teatbench emulate'", "Is the address right?"
         raise ProtocolError(who, what, asked=do, seen=line[:SEEN_BYTES], hint=hint)
-    if "enough" in answer:
-        raise op.OperatorEnough(str(answer["enough"]))
+    for key, stop in STOPS.items():
+        if key in answer:
+            raise stop(str(answer[key])[:LONGEST_SAID])
     raise DeviceError(who, str(answer.get("refused", answer))[:LONGEST_SAID], asked=do)

@@ -22,6 +22,7 @@ from instruments.world.compositing import Cover, Layer, cover, cover_outlines, l
 from instruments.world.objects import SceneObject
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import (
+    Exposure,
     Grey,
     Image,
     OpticalReadout,
@@ -175,6 +176,7 @@ class KeptLayers:
 
 BACKDROPS_KEPT = 4  # two of each camera of a rig, which commands and tests open again
 SHARP_PX = 0.15  # less blur than this on top of the lens's own is left out
+SPARSE = 16  # pixels in either direction, of which one tells how bright a backdrop is
 MOST_STEPS = 64  # pictures that make one smeared by motion
 # Columns that a processor's vectors hold, and some more: of whole ones, the lens makes the same
 # of a part as of the whole picture, bit by bit.
@@ -190,6 +192,7 @@ class OpticalCamera:
         self.view = PixelRays(camera)
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
+        self._sparse = camera.sparse(SPARSE)
         self._layers = KeptLayers()
         self._latest: object = None  # what the kept light is of
         self._still: tuple[object, Image, Image] | None = None  # of what, empty, and with things
@@ -212,6 +215,15 @@ class OpticalCamera:
     def expected(self, state: SceneState, shadows: ShadowMap | None = None) -> Image:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
         return self.readout.mean(self._light(state, shadows), state.exposure)
+
+    def white_share(self, lighting: Lighting, backdrop: Backdrop, exposure: Exposure) -> float:
+        """Which share of the picture would be white with nothing before the backdrop, without its
+        textures and from few of its pixels: no more than 0.05 off.
+        """
+        plain = replace(backdrop, board_texture=0.0, table_texture=0.0)
+        light, *_ = backdrops.draw(plain, lighting, self._sparse)
+        level = self.readout.mean(light, exposure, SPARSE)
+        return float(np.mean(level >= 2**self.readout.sensor.bits - 2))
 
     def _light(self, state: SceneState, shadows: ShadowMap | None) -> Image:
         """Light on the sensor, (height, width); kept while nothing changes."""

@@ -65,6 +65,11 @@ class CameraModel:
         values = (getattr(self, field.name) for field in fields(self))
         return tuple(one.tobytes() if isinstance(one, np.ndarray) else one for one in values)
 
+    def sparse(self, every: int) -> CameraModel:
+        """A camera that has of this one's pixels ``every`` so many in either direction."""
+        size = {name: -(-getattr(self, name) // every) for name in ("width_px", "height_px")}
+        return replace(self, **size, fc=self.fc / every, cc=self.cc / every)
+
     @property
     def centre_mm(self) -> Floats:
         """The projection centre in the world frame, (3,) mm."""

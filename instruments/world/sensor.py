@@ -157,11 +157,14 @@ class OpticalReadout:
         vignette = 1.0 - np.float32(sensor.vignetting) * (1.0 - cos4)
         self._response = vignette * (1.0 + np.float32(sensor.prnu) * normal_noise(rng, shape))
 
-    def mean(self, light: Image, exposure: Exposure | None = None) -> Image:
-        """Mean grey levels that light on the sensor gives, (h, w), before rounding."""
+    def mean(self, light: Image, exposure: Exposure | None = None, every: int = 1) -> Image:
+        """Mean grey levels that light on the sensor gives, (h, w), before rounding; ``light`` is
+        that of ``every`` so many pixels in either direction.
+        """
         filled, dark, full, _, _, gain, offset, _ = self._constants(exposure or Exposure())
-        electrons = np.minimum(light * self._response * filled + dark, full)
-        return np.asarray((electrons + self._dark_e) * gain + offset)
+        response, dark_e = (part[::every, ::every] for part in (self._response, self._dark_e))
+        electrons = np.minimum(light * response * filled + dark, full)
+        return np.asarray((electrons + dark_e) * gain + offset)
 
     def noise(self, rng: np.random.Generator) -> Words:
         """Which of `NOISE_LEVELS` is each pixel's, (h, w): all that an exposure needs of chance."""

@@ -134,7 +134,7 @@ def reaction(run: RunRecord) -> str:
     )
     if run.ending == "faulted":
         unsafe = any("could not be made safe" in event["text"] for event in run.events)
-        note.append("ended, told as NOT SAFE" if unsafe else "ended, safe")
+        note.append("ended, reported as NOT SAFE" if unsafe else "ended, safe")
     return ", ".join(note) or "-"
 
 

@@ -26,7 +26,7 @@ from tests.examples import examples
 from tests.mutants import mutants
 from textfiles.documents import DocumentError, read_json, read_toml
 from textfiles.tables import TableError, number, read_table
-from textfiles.text import TextError, decoded, in_command
+from textfiles.text import TextError, decoded, did_you_mean, in_command
 
 CASES = ROOT / "tests" / "data" / "cases"
 SAVED_AS = {
@@ -220,3 +220,22 @@ def test_a_path_is_one_word_of_a_command(path: str, word: str) -> None:
 def test_a_shell_reads_the_word_as_the_path(path: str) -> None:
     printed = subprocess.run(["sh", "-c", f"printf %s {in_command(path)}"], capture_output=True)
     assert printed.stdout.decode() == path
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "meant"),
+    [
+        ("nosuch", ("touch", "recall"), ""),
+        ("runn", ("runs", "run", "resume"), "run"),
+        ("rusume", ("runs", "run", "resume"), "resume"),
+        ("path", ("bath", "arm"), "bath"),
+        ("fusde", ("thesis", "fused"), "fused"),
+        ("sec", ("second", "metre"), "second"),
+        ("paint", ("teat-paint", "light"), "teat-paint"),
+        ("zzz", (), ""),
+    ],
+)
+def test_what_is_offered_for_a_slip_is_near_it(
+    word: str, known: tuple[str, ...], meant: str
+) -> None:
+    assert did_you_mean(word, known) == (f'; did you mean "{meant}"?' if meant else "")

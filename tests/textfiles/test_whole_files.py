@@ -5,10 +5,12 @@ from __future__ import annotations
 import errno
 import os
 import re
+import sys
 from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from bench.run.estimate import no_room
 from bench.run.live import Live
 from instruments.camera.frame import FrameSet
 from reports.render import write_whole
-from textfiles.whole import nearest_there, refuse_no_name, replace_whole
+from textfiles.whole import nearest_there, refuse_no_name, replace_whole, sync
 
 GREY = np.zeros((48, 64), np.uint8)
 WRITERS: dict[str, Callable[[Path], object]] = {
@@ -185,3 +187,17 @@ def test_who_looks_through_a_new_folder_on_windows_keeps_it_from_nobody(
     make(tmp_path / "new")
     assert asked["folders"] == 3
     assert [one.name for one in tmp_path.iterdir()] == ["new"]
+
+
+def test_macos_syncs_otherwise_where_a_folder_of_the_network_refuses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused(_: int, what: int) -> None:
+        raise OSError(errno.ENOTSUP, "Operation not supported")
+
+    synced = list[int]()
+    monkeypatch.setitem(sys.modules, "fcntl", SimpleNamespace(F_FULLFSYNC=51, fcntl=refused))
+    monkeypatch.setattr("sys.platform", "darwin")
+    monkeypatch.setattr(os, "fsync", synced.append)
+    sync(7)
+    assert synced == [7]

@@ -175,7 +175,7 @@ function page() {
     card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
     card({ id: "seen", hidden: true }, heading("Last frames"), make("div", { id: "frames", className: "frames" })),
     card({ id: "result", hidden: true }, heading("Last trial with its truth"), make("div", { id: "scored" })),
-    card({ id: "practice", hidden: true }, heading("Practice"), make("p", { className: "soft" }, "An emulated rig: this happens to it at once, as by a hand. The run is not told."), make("ul", { id: "rig" })),
+    card({ id: "practice", hidden: true }, heading("Practice"), make("p", { className: "soft" }, "An emulated rig: this happens to it at once, as by a hand. The run is not informed."), make("ul", { id: "rig" })),
     card({ id: "health" }, heading("Instruments and interlocks"), make("ul", { id: "instruments", className: "chips" }), make("details", {}, make("summary", { id: "armed" }), make("ul", { id: "interlocks", className: "chips" }))),
   );
   controls.hidden = !under();

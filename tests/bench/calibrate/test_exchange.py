@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from bench.calibrate import mat_values
 from bench.calibrate.exchange import read_foreign, write_bouguet, write_opencv, write_ros
 from bench.config import ConfigError
 from bench.rig.loading import RIGS
@@ -229,6 +231,18 @@ def matlab(**changes: Any) -> dict[str, Any]:
     for key, value in changes.items():
         (stereo if key in stereo or key == "PoseCamera2" else camera)[key] = value
     return {"s": stereo | {"CameraParameters1": camera, "CameraParameters2": camera}}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it limits no addresses")
+def test_a_mat_file_is_read_where_the_system_allows_less_memory_than_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(_: int, limits: tuple[int, int]) -> None:
+        raise ValueError("not allowed to raise maximum limit")
+
+    monkeypatch.setattr("resource.setrlimit", refused)
+    assert mat_values.main(str(CASES / "bfc1.mat")) == 0
+    assert "fc_left" in json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.weekly

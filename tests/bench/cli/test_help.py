@@ -130,6 +130,7 @@ def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:
     assert "these pages speak of it: faults, lab, runs" in said(2, "help pedal").err
     for near, meant in ("recor", "record"), ("store chek", "store check"), ("apx", "apex"):
         assert f'did you mean "{meant}"' in said(2, f"help {near}").err
+    assert "did you mean" not in said(2, "help nosuch").err
     assert "went: bash and zsh" in said(2, "help completion").err
     assert {*COMMANDS} - {*topics()} <= {"help"}  # every command has its page
 
@@ -140,6 +141,7 @@ def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:
     ("line", "offered"),
     [
         ("teatbench ca", {"calibrate", "camera", "campaign"}),
+        ("teatbench store ch", {"check"}),
         ("teatbench store export r --fo", {"--format"}),
     ],
 )

@@ -13,6 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 from filelock import FileLock
 
@@ -79,6 +80,20 @@ def test_who_has_ended_or_has_a_dead_bench_s_number_is_no_bench_that_lives() -> 
         assert still_runs({"pid": child.pid})
         child.kill()
         within(lambda: not still_runs({"pid": child.pid}), "it has ended, unwaited for")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems need no /proc")
+def test_without_proc_a_bench_still_says_who_it_is_and_a_dead_one_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(psutil, "PROCFS_PATH", str(tmp_path))
+    me = this_process()
+    assert (me["pid"], me["created"]) == (os.getpid(), None)
+    assert still_runs(me)
+    with subprocess.Popen([sys.executable, "-c", ""]) as child:
+        child.wait(PATIENCE_S)
+    assert not still_runs({"pid": child.pid})
+    assert not still_runs({"pid": 2**70})
 
 
 def test_a_lock_of_another_machine_is_believed(tmp_path: Path) -> None:

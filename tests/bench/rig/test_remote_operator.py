@@ -25,7 +25,9 @@ from instruments.operators.operator import (
     BoardTouch,
     CheckPoint,
     Homing,
+    OperatorAbort,
     OperatorEnough,
+    OperatorSkip,
     Release,
     Touch,
 )
@@ -130,6 +132,19 @@ def test_a_refusal_and_a_lost_operator_are_faults(twin: EmulatedRig) -> None:
             operator.ask(Release())
         with pytest.raises(LinkError, match="nothing takes the connection"):
             RemoteOperator(port.url, clock)
+
+
+def test_what_the_arm_does_not_reach_is_skipped_or_aborted_as_by_hands_of_this_process(
+    twin: EmulatedRig, port: Listener
+) -> None:
+    twin.operator.way = lambda _, axis: None
+    with closing(RealClock()) as clock, closing(RemoteOperator(port.url, clock)) as operator:
+        with pytest.raises(OperatorSkip) as skip:
+            operator.ask(Touch(2, 4))
+        assert skip.value.reason.startswith("the arm doesn't reach the end of teat 2 at [")
+        with pytest.raises(OperatorAbort, match="doesn't reach the check point at"):
+            operator.ask(CheckPoint(1, 5))
+        operator.ask(Release())
 
 
 def test_interlocks_end_the_wait_and_its_answer_is_not_taken_for_the_next_ones(

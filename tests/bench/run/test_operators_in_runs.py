@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from bench.record.reader import RunRecord
 from bench.script.phantom import shipped_phantom
 from instruments.world.phantom import PlatePose
-from tests.bench.operated_runs import CHECK_POINT, files, record_of, run, texts
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, record_of, run, texts
 from tests.plain_text import plain_text
 
 pytestmark = pytest.mark.slow
@@ -93,3 +94,51 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     at = "[trial 2 of 3, teat 4 of 4, 1 of 4 touches left; less than a minute left]"
     assert f"{at} Touch the end of teat 4, left front (LF), with" in capsys.readouterr().out
     assert record.folder.joinpath("answers.txt").read_text(encoding="utf-8") == answers
+
+
+FAR = SCRIPT.replace("x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0", "x_mm = -150.0, y_mm = 130.0")
+FAR_REGISTRATION = (
+    '[truth]\nmode = "carry"\nregistration = "first"\nregistration_teat = 4\n'
+    "registration_at_mm = [[-150.0, -130.0], [150.0, -130.0], [-150.0, 130.0]]\n\n[bath]"
+)
+
+
+def test_what_the_emulated_arm_does_not_reach_is_said_and_is_no_lost_link(tmp_path: Path) -> None:
+    record = record_of(tmp_path, script=FAR, stage=STAGE)
+    assert [trial.head["number"] for trial in record.trials] == [1, 3]
+    (row,) = record.skipped
+    assert row["reason"].startswith("the arm doesn't reach the end of left front (LF) at [")
+    assert "arm_placed in [emulation]" in row["reason"]
+    assert texts(record, "dropped out") == texts(record, "fault") == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (
+            {"script": SCRIPT.replace("[bath]", FAR_REGISTRATION), "stage": STAGE},
+            "position 3 of the stage's registration was not touched: the arm doesn't reach the end",
+        ),
+        (
+            {"check_point": CHECK_POINT.replace("120.0", "900.0")},
+            "the arm doesn't reach the check point at [-190, 900, 15] mm",
+        ),
+    ],
+)
+def test_before_the_trials_it_ends_the_run(
+    asked: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    record = record_of(tmp_path, **asked)
+    (aborted,) = texts(record, "aborted")
+    assert aborted.startswith(said)
+    assert texts(record, "dropped out") == texts(record, "fault") == []
+
+
+GLARING = SCRIPT.replace('layout = "table-5-1"', 'family = "non_vertical"\nmember = 16069')
+
+
+def test_a_drawn_scene_is_lit_so_that_the_frame_check_takes_it(tmp_path: Path) -> None:
+    """Of this member 29 % are white as drawn: its board is light, and its lamps are strong."""
+    record = record_of(tmp_path, script=GLARING.replace('set_up = "Teats as in table 5.1."', ""))
+    assert len(record.trials) == 3, texts(record, "fault")
+    assert texts(record, "frames") == []

@@ -300,7 +300,7 @@ OTHERS = LimitError("x", "no room")  # whose words don't say which instrument it
 # what a driver does with what it gives, from this call on; the exit code, and what is said
 RUNS: list[tuple[str, int, Callable[[Any], Any], int, str]] = [
     ("Tank.read", 9, lambda it: replace(it, alarm="no water:\nfill"), 3, "reports no water: fill"),
-    ("Tank.read", 2, lambda it: replace(it, set_point_c=1.0), 3, "was told .*" + LOOK.format("tank")),
+    ("Tank.read", 2, lambda it: replace(it, set_point_c=1.0), 3, "was asked .*" + LOOK.format("tank")),
     ("Tank.standby", 1, fails(KeyboardInterrupt()), 3, "ITS MAINS: KeyboardInterrupt"),
     ("Tank.read", 3, fails(SystemExit("no " * 999)), 3, r"SystemExit: (no ){60,70}[no]*\.\.\. \("),
     ("Slide.stop", 1, fails(BYE), 3, ""),

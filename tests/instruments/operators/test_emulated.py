@@ -14,6 +14,7 @@ from instruments.operators import operator as op
 from instruments.operators.emulated import SHOWN, BoardHands, EmulatedOperator, Mistake
 from instruments.world.boards import Pattern
 from instruments.world.phantom import PIVOT_MM, PlatePose
+from instruments.world.situations import situation
 from instruments.world.world import World
 from tests.instruments.operators.people import arrangement, hands, world
 
@@ -144,6 +145,46 @@ def test_hands_without_a_check_point_or_a_board_say_so() -> None:
         EmulatedOperator(world(), hand_error_mm=0.1).ask(op.CheckPoint(1, 5))
     with pytest.raises(ValueError, match="holds no board"):
         hands(world()).ask(op.BoardTouch(0, "Touch it."))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "stop", "what"),
+    [
+        (op.Touch(2, 4), op.OperatorSkip, "the end of teat 2"),
+        (op.CheckPoint(1, 5), op.OperatorAbort, "the check point"),
+        (op.BoardTouch(0, "Touch it."), op.OperatorAbort, "the board"),
+    ],
+)
+def test_where_the_arm_does_not_get_there_hands_let_go_and_name_the_place(
+    wanted: op.Request, stop: type[Exception], what: str
+) -> None:
+    here = world()
+    who = hands(here)
+    who.ask(FIXED)
+    who.ask(wanted)
+    at = np.round(tip(here)).astype(int).tolist()
+    who.way = lambda _, axis: None
+    with pytest.raises(stop) as said:
+        who.ask(wanted)
+    assert f"the arm doesn't reach {what} at {at} mm. Have it nearer" in str(said.value)
+    assert here.arm_target() is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("member", [16069, 16000])
+def test_a_scene_is_lit_less_where_too_much_of_a_picture_would_be_white(member: int) -> None:
+    here, sent = world(), situation("non_vertical", member)
+    hands(here).ask(op.Arrangement(sent.name, sent.phantom, (), "Set it up.", scene=sent))
+    shown, scene = here.renderer, here.scene()
+    levels = [one.expected(scene) for one in (shown.left, shown.right)]
+    assert max(np.mean(level >= 254.0) for level in levels) < 0.25
+    drawn = here.renderer.left.expected(replace(scene, lighting=sent.lighting))
+    if member == 16000:  # as it was drawn
+        assert scene.lighting == sent.lighting
+    else:
+        assert np.mean(drawn >= 254.0) > 0.25
+        assert 0.8 < scene.lighting.brightness / sent.lighting.brightness < 1.0
+        assert replace(scene.lighting, brightness=sent.lighting.brightness) == sent.lighting
 
 
 # Calibration boards
