@@ -5,15 +5,17 @@ report. It is asked a function of `reports.figures` and its arguments, and answe
 from __future__ import annotations
 
 import queue
-import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 from bench.workers import WorkerProcess, opened
-from reports.figures.drawing import SvgFunction, drawn_elsewhere
+from reports.figures.drawing import SvgFunction, drawn_later
+from reports.page import Figure, Fold, Section
 
-AT_ONCE = 3  # chapters: a figure here, one in the process, and numbers
+STANDS_FOR = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"><title>{}</title></svg>'
+Figured = tuple[SvgFunction, Sequence[Any], Mapping[str, Any]]
 LIMIT_S = 30.0  # for a figure, which takes a tenth of a second
 
 
@@ -22,7 +24,7 @@ class FigureProcess(WorkerProcess):
 
     def __init__(self) -> None:
         self._answers = queue.SimpleQueue[str | None]()
-        self._free = threading.Lock()
+        self._gone = False
         super().__init__(__name__, self._answers.put)
 
     def wait(self) -> None:
@@ -32,8 +34,8 @@ class FigureProcess(WorkerProcess):
         self.draw(latency_strip, ([1.0], [2.0]), {})
 
     def draw(self, figure: SvgFunction, args: Sequence[Any], more: Mapping[str, Any]) -> str:
-        """The SVG; "" for what it can't draw, while it draws another, and once it is gone."""
-        if not self._free.acquire(blocking=False):
+        """The SVG; "" for what it can't draw, and once it is gone."""
+        if self._gone:
             return ""
         drawn: str | None = None
         try:
@@ -42,21 +44,57 @@ class FigureProcess(WorkerProcess):
         except Exception:  # silent for too long, or asked what no pickle holds
             self.kill("can't draw")
         finally:
-            if drawn is not None:
-                self._free.release()
+            self._gone = drawn is None
         return drawn or ""
 
 
 def each_made(
     chapters: Iterable[Iterable[Any]], process: FigureProcess | None
 ) -> list[tuple[Any, ...]]:
-    """What each chapter holds; with a process some are made beside each other, and of their figures
-    some are drawn there.
+    """What each chapter holds. With a process figures are drawn there while chapters are made, and
+    then here too, each by whichever is free.
     """
     if process is None:
         return [*map(tuple, chapters)]
-    with drawn_elsewhere(process.draw), ThreadPoolExecutor(AT_ONCE) as threads:
-        return [*threads.map(tuple, chapters)]
+    asked, drawn = queue.SimpleQueue[tuple[str, Figured] | None](), dict[str, str]()
+
+    def later(*figure: Any) -> str:
+        stands_for = STANDS_FOR.format(len(figures))
+        figures[stands_for] = figure
+        asked.put((stands_for, figure))
+        return stands_for
+
+    def draw(by: Callable[..., str]) -> None:
+        while one := asked.get():
+            drawn[one[0]] = by(*one[1])
+
+    figures: dict[str, Figured] = {}
+    with ThreadPoolExecutor(1) as thread:
+        there = thread.submit(draw, process.draw)
+        try:
+            with drawn_later(later):
+                made = [*map(tuple, chapters)]
+        finally:
+            for _ in range(2):
+                asked.put(None)
+        draw(_here)
+        there.result()
+    for stands_for, figure in figures.items():
+        drawn[stands_for] = drawn[stands_for] or _here(*figure)
+    return [tuple(_filled(part, drawn) for part in chapter) for chapter in made]
+
+
+def _here(figure: SvgFunction, args: Sequence[Any], more: Mapping[str, Any]) -> str:
+    return figure(*args, **more)
+
+
+def _filled(part: Any, drawn: Mapping[str, str]) -> Any:
+    """The part with its figures, those in a fold too."""
+    if isinstance(part, Figure) and part.svg in drawn:
+        return replace(part, svg=drawn[part.svg])
+    if isinstance(part, Fold | Section):
+        return replace(part, parts=tuple(_filled(one, drawn) for one in part.parts))
+    return part
 
 
 def main() -> None:

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import io
 import re
-import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache, wraps
 from itertools import pairwise
 from pathlib import Path
@@ -109,9 +109,8 @@ _LINKS = re.compile(
 Plot = Generator[tuple[str, tuple[float, float], str], Figure, None]
 P = ParamSpec("P")
 SvgFunction = Callable[..., str]
-Elsewhere = Callable[[SvgFunction, Sequence[Any], Mapping[str, Any]], str]
-_HERE = threading.RLock()  # matplotlib's parameters are those of the whole process
-_elsewhere: list[Elsewhere] = []
+Later = Callable[[SvgFunction, Sequence[Any], Mapping[str, Any]], str]
+_later: ContextVar[Later | None] = ContextVar("_later", default=None)
 
 
 def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
@@ -119,22 +118,22 @@ def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
 
     @wraps(plot)
     def svg(*args: P.args, **kwargs: P.kwargs) -> str:
-        if _elsewhere and (drawn := _elsewhere[-1](svg, args, kwargs)):
-            return drawn
-        with _HERE:
-            return draw(plot(*args, **kwargs))
+        later: Later | None = _later.get()
+        return later(svg, args, kwargs) if later else draw(plot(*args, **kwargs))
 
     return svg
 
 
 @contextmanager
-def drawn_elsewhere(draw: Elsewhere) -> Iterator[None]:
-    """Meanwhile ``draw`` is asked for each figure first; what it gives "" for is drawn here."""
-    _elsewhere.append(draw)
+def drawn_later(later: Later) -> Iterator[None]:
+    """Meanwhile ``later`` gets each figure's function and arguments, and gives what stands for its
+    SVG.
+    """
+    before = _later.set(later)
     try:
         yield
     finally:
-        _elsewhere.remove(draw)
+        _later.reset(before)
 
 
 class _Canvas(FigureCanvasSVG):

@@ -16,7 +16,7 @@ from bench.report.growing import TrialParts
 from bench.report.page import write_run_report
 from reports.figures import drawing
 from reports.figures.course import found_bars, latency_strip
-from reports.page import Figure, Part
+from reports.page import Figure, Fold, Part
 from tests.bench.small_run import KEPT
 
 STRIP = ([0.1, 0.4, 0.2], [1.0, 2.0])
@@ -43,30 +43,32 @@ def test_what_it_can_t_draw_is_raised_here(process: FigureProcess) -> None:
     assert process.draw(latency_strip, STRIP, {}) == latency_strip(*STRIP), "it goes on"
 
 
-def test_of_figures_at_once_some_are_drawn_here(
+def test_some_are_drawn_here_and_some_there(
     process: FigureProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two chapters of four figures; the process waits until one is drawn here."""
+    """The process waits with its second figure until one is drawn here."""
 
     def chapter(first: int) -> Iterator[Part]:
         for number in range(first, first + 4):
-            yield Figure(latency_strip([0.1 * number], [1.0], name=f"strip-{number}"), "", "")
+            figure = Figure(latency_strip([0.1 * number], [1.0], name=f"strip-{number}"), "", "")
+            yield figure if number % 2 else Fold("", (Fold("", (figure, figure)),))
 
     alone = each_made([chapter(1), chapter(5)], None)
-    drew, here, there = threading.Event(), drawing.draw, process.draw
+    drew, here, there, asked = threading.Event(), drawing.draw, process.draw, list[Any]()
 
     def drawn_here(plot: drawing.Plot) -> str:
         drew.set()
         return here(plot)
 
-    def elsewhere(*asked: Any) -> str:
-        drawn = there(*asked)
-        assert not drawn or drew.wait(60.0)
-        return drawn
+    def elsewhere(*figure: Any) -> str:
+        asked.append(figure)
+        assert len(asked) == 1 or drew.wait(60.0)
+        return there(*figure)
 
     monkeypatch.setattr(drawing, "draw", drawn_here)
     monkeypatch.setattr(process, "draw", elsewhere)
     assert each_made([chapter(1), chapter(5)], process) == alone
+    assert 0 < len(asked) < 8
 
 
 @pytest.mark.parametrize("how", ["killed", "silent", "asked for what no pickle holds"])
