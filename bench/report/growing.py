@@ -8,18 +8,22 @@ process's memory: one that dies leaves none, and none is taken on another's word
 from __future__ import annotations
 
 import hashlib
+import math
 import pickle
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path
+
+import numpy as np
 
 from bench.config import read_calibration
 from bench.files import sha256_of
 from bench.record.reader import ALL, RunRecord, TrialRecord, read_trials
-from bench.report.bath import readings_at
+from bench.report.bath import AROUND_S, readings_at
 from bench.report.beside import FigureProcess
 from bench.report.glossary import terms
 from bench.report.trials import trial_part
@@ -61,18 +65,25 @@ class TrialParts:
             self.figures.wait()
 
     def grow(self, folder: Path, done: int, planned: int) -> None:
-        """Draw trials of the run in ``folder``, where ``done`` of ``planned`` have passed: the last
-        but one, about whose capture all is written by now, and of those that a session before left
-        a share. Raises nothing, since the report draws what was not drawn.
+        """Draw trials of the run in ``folder``, where ``done`` of ``planned`` have passed: those
+        about whose capture all is written, and of those that a session before left a share. Raises
+        nothing, since the report draws what was not drawn.
         """
         first = self._next.get(folder, 1)
         more = max(0, done - first) // max(1, planned - done)
-        last = min(done - 1, first + min(more, MOST_MORE))
+        last = min(done - 1, first + max(1, min(more, MOST_MORE)))
         if last < first:
             return
-        self._next[folder] = last + 1
         try:
-            self.draw(read_trials(folder, first, last), planned)
+            run = read_trials(folder, first, last)
+            # a reading that is still to come is at least as far from the last as that from the one
+            # before
+            times_s = run.bath[-2:, 0]
+            until_s = times_s[-1] + np.ptp(times_s) - AROUND_S if len(times_s) else -math.inf
+            there = takewhile(lambda trial: (trial.head["captured_s"] or 0.0) < until_s, run.trials)
+            run = replace(run, trials=tuple(there))
+            self._next[folder] = first + len(run.trials)
+            self.draw(run, planned)
         except Exception as error:
             self._next[folder] = ALL[1]
             self._warn(f"The report of {folder} is drawn when the run has ended: {error}")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ import bench
 from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
+from bench.record.schema import DATABASE
 from bench.report import growing
 from bench.report.bath import readings_at
 from bench.report.growing import TrialParts
@@ -80,8 +83,8 @@ def test_it_grows_with_a_run_and_with_what_resumes_it(
     monkeypatch.setattr(growing, "FigureProcess", Noted)
     monkeypatch.setattr(growing, "processors", lambda: 2)
     _, script, _, rig, _, out = files(tmp_path, script=EIGHT)
-    for grown in (3, 6):
-        if grown == 3:
+    for grown in (2, 6):
+        if grown == 2:
             bench.run_script(script, rig, out=out, progress=Stopped())
         else:
             assert main(["resume", str(run_of(tmp_path).folder)]) in (0, 1, 4)
@@ -90,7 +93,7 @@ def test_it_grows_with_a_run_and_with_what_resumes_it(
         run = run_of(tmp_path)
         names = [trial.id for trial in run.trials]
         assert drawn[:grown] == names[:grown]
-        assert not set(drawn[grown:]) & set(names[:grown]), "each is drawn once"
+        assert len(set(drawn)) == len(drawn), "each is drawn once"
         assert len([*run.folder.glob("report/trials/*.html")]) == len(names)
         written = bytes_of(run.folder / "report")
         write_run_report(run.folder)
@@ -127,6 +130,23 @@ def test_what_is_drawn_of_something_else_is_not_taken(drawn: list[str], tmp_path
         taken = [*parts.of(other, calibration, folder / "report", ())]
         assert (one.id in drawn) == (other is not run)
         assert taken == [*TrialParts().of(other, calibration, folder / "report", ())]
+
+
+@pytest.mark.parametrize(("later_s", "there"), [(4.0, 0), (5.0, 1)])
+def test_a_trial_is_drawn_once_all_readings_about_its_capture_are_written(
+    drawn: list[str], tmp_path: Path, later_s: float, there: int
+) -> None:
+    """They come every second, and those within five belong to it."""
+    folder = Path(shutil.copytree(KEPT, tmp_path / "run"))
+    one = read_run(folder).trials[0]
+    with closing(sqlite3.connect(folder / DATABASE)) as db, db:
+        db.execute("UPDATE trials SET captured_s = 10.5")
+        db.execute("DELETE FROM bath WHERE t_s > ?", (10.5 + later_s,))
+    parts = TrialParts()
+    parts.grow(folder, 2, 100)
+    assert drawn == [one.id][:there]
+    parts.grow(folder, 2, 100)
+    assert drawn == [one.id][:there]
 
 
 def test_what_can_t_be_drawn_is_said_once(tmp_path: Path) -> None:
