@@ -56,7 +56,7 @@ class TrialParts:
         processor is there for it.
         """
         if self.figures is None and not in_page(planned, 1) and processors() > 1:
-            with suppress(OSError):
+            with suppress(OSError, RuntimeError):  # no more processes or threads are to be had
                 self.figures = FigureProcess()
 
     def wait(self) -> None:
