@@ -141,8 +141,10 @@ def build_page(
     drawing = parts or TrialParts()
     trials = drawing.of(run, calibration, folder, copied=None if few else looked)
     chapters = (of for _, page in pages.values() for _, of in page.values())
-    each = iter(each_made((trials, figures, *chapters), drawing.figures))
-    made, drawn = next(each), next(each)
+    # what has figures first: they are drawn while the rest is made
+    *each_of, made = each_made((figures, *chapters, trials), drawing.figures)
+    each = iter(each_of)
+    drawn = next(each)
     behind = {
         anchor: (title, sections({of: (head, next(each)) for of, (head, _) in page.items()}))
         for anchor, (title, page) in pages.items()
@@ -186,7 +188,7 @@ def _pages(
     limit_mm = rules.visible_within_mm
     trials: Chapters = {
         "trial-list": ("All trials", (*([links] if links else []), trial_table(run))),
-        "deviations": ("Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
+        "deviations": ("Deviations and exclusions", chain(deviation_parts(run), fault_parts(run))),
         "blamed": ("What went wrong where", tables.attribution_parts(run, calibration)),
     }
     accuracy: Chapters = {
@@ -197,10 +199,10 @@ def _pages(
         "poses": ("Poses", pose_parts(run, limit_mm)),
         "latency": ("Time", _latency_parts(run, rules)),
     }
-    reference = (
-        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
-        *gage_parts(run, limit_mm),
-        *(*arm_parts(run), *record_parts(run)),
+    reference = chain(
+        *(truth_parts(run), cameras_parts(run, rules, calibration)),
+        gage_parts(run, limit_mm),
+        *(arm_parts(run), record_parts(run)),
     )
     return {
         "page-trials": ("Trials", trials),
