@@ -109,15 +109,8 @@ class Renderer:
 
     def page(self, place: Place) -> str:
         """The page's own file. Raises PageError where a trial is neither in it nor listed."""
-        tables = (table for table in self._page.parts_of(Table) if table.searchable)
-        rows = (row for table in tables for row in table.rows)
-        listed = {trial.id for trial in place.trials} | {_trial_of(row) for row in rows}
-        lost = [trial.id for trial in self._page.trials if trial.id not in listed]
-        if lost and not place.apart:
-            raise PageError(
-                f"page {self._page.title!r}: no searchable table begins a row with a link to"
-                f" {lost[:5]}; list every trial"
-            )
+        if not place.apart:
+            _refuse_unlisted(self._page, place)
         return self._fill(place)
 
     def chapter(self, place: Place, section: Section | None) -> str:
@@ -243,42 +236,71 @@ def render(page: Page) -> str:
     return Renderer(page).page(_own(page))
 
 
-def write_report(page: Page, folder: Path, more: Sequence[tuple[str, bytes]] = ()) -> Path:
+def write_report(
+    page: Page,
+    folder: Path,
+    more: Sequence[tuple[str, bytes]] = (),
+    finished: Callable[[Page], Page] = lambda page: page,
+) -> Path:
     """Write `folder/index.html`, with `more` files' names and contents, whole or not at all; many
-    trials get files of their own before. Raises PageError for images that are not there, OSError.
+    trials get files of their own before. The page may wait for figures until then: it is asked for
+    with all of them, ``finished``. Raises PageError for images that are not there, OSError.
     """
     with new_folders(folder):
-        html, index = _written(page, folder), folder / "index.html"
+        html, index = _written(page, folder, finished), folder / "index.html"
         others = ((folder / name, data) for name, data in more)
         replace_all([*others, (index, html.encode())], synced=True)
     return index
 
 
-def _written(page: Page, folder: Path) -> str:
+def _written(page: Page, folder: Path, finished: Callable[[Page], Page]) -> str:
     """All files of the page but its first, whose text is given back."""
     refuse_missing(page.files(), folder)
-    renderer = Renderer(page)
     place = _own(page)
-    whole = renderer.page(place)
-    chapters = {f"{section.id}.html": section for section in page.sections if section.folded}
-    for name in (*chapters, GLOSSARY, WHOLE):
+    _refuse_unlisted(page, place)
+    folded = [section.id for section in page.sections if section.folded]
+    for name in (*(f"{one}.html" for one in folded), GLOSSARY, WHOLE):
         (folder / name).unlink(missing_ok=True)  # of a longer report that stood here
-    apart = _apart(page) if chapters and len(whole.encode()) > MOST_BYTES else {}
+    apart = {}
     if len(place.trials) < len(page.trials):
-        (folder / TRIALS).mkdir(exist_ok=True)
-        for name, text in renderer.trials(apart):
-            replace_whole(folder / TRIALS / name, text.encode())
-    if not apart:
+        apart = _apart(page) if folded else {}  # a page of so many trials is hardly ever small
+        _write_trials(page, folder / TRIALS, apart)
+    page = finished(page)
+    renderer = Renderer(page)
+    whole = renderer.page(place)
+    if not folded or len(whole.encode()) <= MOST_BYTES:
+        if apart:
+            _write_trials(page, folder / TRIALS, {})
         return whole
+    apart = apart or _apart(page)
     write_whole(folder / WHOLE, whole)
-    for name, section in chapters.items():
-        trials = place.trials if section.id == page.trials_in else ()
-        there = replace(place, file=name, apart=apart, trials=trials)
-        write_whole(folder / name, renderer.chapter(there, section))
+    for section in page.sections:
+        if section.folded:
+            trials = place.trials if section.id == page.trials_in else ()
+            there = replace(place, file=apart[section.id], apart=apart, trials=trials)
+            write_whole(folder / there.file, renderer.chapter(there, section))
     if page.glossary:
         there = replace(place, file=GLOSSARY, apart=apart, trials=())
         write_whole(folder / GLOSSARY, renderer.chapter(there, None))
     return renderer.page(replace(place, apart=apart, trials=()))
+
+
+def _write_trials(page: Page, folder: Path, apart: Mapping[str, str]) -> None:
+    folder.mkdir(exist_ok=True)
+    for name, text in Renderer(page).trials(apart):
+        replace_whole(folder / name, text.encode())
+
+
+def _refuse_unlisted(page: Page, place: Place) -> None:
+    """Raises PageError where a trial is neither at ``place`` nor listed."""
+    tables = (table for table in page.parts_of(Table) if table.searchable)
+    rows = (row for table in tables for row in table.rows)
+    listed = {trial.id for trial in place.trials} | {_trial_of(row) for row in rows}
+    if lost := [trial.id for trial in page.trials if trial.id not in listed]:
+        raise PageError(
+            f"page {page.title!r}: no searchable table begins a row with a link to {lost[:5]}; list"
+            " every trial"
+        )
 
 
 def _apart(page: Page) -> dict[str, str]:

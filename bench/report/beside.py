@@ -5,14 +5,15 @@ report. It is asked a function of `reports.figures` and its arguments, and answe
 from __future__ import annotations
 
 import queue
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 from bench.workers import WorkerProcess, opened
 from reports.figures.drawing import SvgFunction, drawn_later
-from reports.page import Figure, Fold, Section
+from reports.page import Figure, Fold, Page, Section
 
 STANDS_FOR = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"><title>{}</title></svg>'
 Figured = tuple[SvgFunction, Sequence[Any], Mapping[str, Any]]
@@ -48,15 +49,17 @@ class FigureProcess(WorkerProcess):
         return drawn or ""
 
 
-def each_made(
-    chapters: Iterable[Iterable[Any]], process: FigureProcess | None
-) -> list[tuple[Any, ...]]:
-    """What each chapter holds. With a process figures are drawn there while chapters are made, and
-    then here too, each by whichever is free.
+@contextmanager
+def drawn_beside(process: FigureProcess | None) -> Iterator[Callable[[Page], Page]]:
+    """While the block runs, figures are drawn in ``process``, and parts have what stands for them.
+    The function gives the page with all figures: those that are left are drawn here too, each by
+    whichever is free. Without a process each is drawn at once.
     """
     if process is None:
-        return [*map(tuple, chapters)]
+        yield lambda page: page
+        return
     asked, drawn = queue.SimpleQueue[tuple[str, Figured] | None](), dict[str, str]()
+    figures: dict[str, Figured] = {}
 
     def later(*figure: Any) -> str:
         stands_for = STANDS_FOR.format(len(figures))
@@ -68,20 +71,22 @@ def each_made(
         while one := asked.get():
             drawn[one[0]] = by(*one[1])
 
-    figures: dict[str, Figured] = {}
-    with ThreadPoolExecutor(1) as thread:
+    def finished(page: Page) -> Page:
+        for _ in range(2):
+            asked.put(None)
+        with drawn_later(None):
+            draw(_here)
+            there.result()
+            for stands_for, figure in figures.items():
+                drawn[stands_for] = drawn[stands_for] or _here(*figure)
+        return replace(page, sections=tuple(_filled(one, drawn) for one in page.sections))
+
+    with ThreadPoolExecutor(1) as thread, drawn_later(later):
         there = thread.submit(draw, process.draw)
         try:
-            with drawn_later(later):
-                made = [*map(tuple, chapters)]
+            yield finished
         finally:
-            for _ in range(2):
-                asked.put(None)
-        draw(_here)
-        there.result()
-    for stands_for, figure in figures.items():
-        drawn[stands_for] = drawn[stands_for] or _here(*figure)
-    return [tuple(_filled(part, drawn) for part in chapter) for chapter in made]
+            asked.put(None)
 
 
 def _here(figure: SvgFunction, args: Sequence[Any], more: Mapping[str, Any]) -> str:

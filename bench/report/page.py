@@ -19,7 +19,7 @@ from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
-from bench.report.beside import each_made
+from bench.report.beside import drawn_beside
 from bench.report.chapters import Chapters, page_of, sections
 from bench.report.comparison import detectors_parts
 from bench.report.growing import REPORT, TrialParts
@@ -97,12 +97,13 @@ def write_run_report(
         judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
         calibration = read_calibration(folder / "calibration.toml", doubtful=True)
         status = status_of(run, judgements)
-        page = build_page(
-            run, status, rules, judgements, calibration, folder / REPORT, baseline, parts
-        )
-        # by another reading of the run: it may not stand beside this one
-        (folder / REPORT / PDF).unlink(missing_ok=True)
-        path = write_report(page, folder / REPORT)
+        with drawn_beside(parts.figures if parts else None) as finished:
+            page = build_page(
+                run, status, rules, judgements, calibration, folder / REPORT, baseline, parts
+            )
+            # by another reading of the run: it may not stand beside this one
+            (folder / REPORT / PDF).unlink(missing_ok=True)
+            path = write_report(page, folder / REPORT, finished=finished)
         listed = judgements or judge(run, rules)  # its requirements, where nothing was scored
         write_exports(run, status, listed, folder / REPORT)
         return Reported(folder, path, run, judgements, status)
@@ -138,17 +139,11 @@ def build_page(
     few = in_page(count, len(run.detectors))
     pages = _pages(run, status, rules, calibration, baseline, first_looks(run, undecided))
     figures = _figures(run, rules, calibration) if run.trials and judgements else ()
+    # what has figures first: they may be drawn while the rest is made
+    drawn = [*figures]
+    behind = {anchor: (title, sections(page)) for anchor, (title, page) in pages.items()}
     drawing = parts or TrialParts()
-    trials = drawing.of(run, calibration, folder, copied=None if few else looked)
-    chapters = (of for _, page in pages.values() for _, of in page.values())
-    # what has figures first: they are drawn while the rest is made
-    *each_of, made = each_made((figures, *chapters, trials), drawing.figures)
-    each = iter(each_of)
-    drawn = next(each)
-    behind = {
-        anchor: (title, sections({of: (head, next(each)) for of, (head, _) in page.items()}))
-        for anchor, (title, page) in pages.items()
-    }
+    made = (*drawing.of(run, calibration, folder, copied=None if few else looked),)
     if judgements:
         every = chain(requirements, *(parts for _, parts in behind.values()))
         statements = note_on_statements((*every,), rules, len(judgements))

@@ -163,10 +163,11 @@ def compare_sides(
         )
         for a, b in matched
     )
-    same = sum(bool(frames := _frames(a)) and frames == _frames(b) for a, b in matched)
+    frames = [(_frames(a), _frames(b)) for a, b in matched]
+    same = sum(bool(first) and first == second for first, second in frames)
     only_old, only_new = len(old.trials) - len(matched), len(new.trials) - len(matched)
     claim = claim_of(_item(old), _item(new), margin_mm, confidence)
-    data = claim_of([(_frames(a), _frames(b)) for a, b in matched])
+    data = claim_of(frames)
     before = looks_before((old.run, new.run), GATE, claim, data)
     found = compare(
         pairs,
@@ -281,8 +282,9 @@ def poses_of(run: RunRecord) -> str:
 def _unique(
     trials: Sequence[TrialRecord], key: Callable[[TrialRecord], Hashable]
 ) -> dict[Hashable, TrialRecord]:
-    times = Counter(key(trial) for trial in trials)
-    return {key(trial): trial for trial in trials if times[key(trial)] == 1}
+    keys = [*map(key, trials)]
+    times = Counter(keys)
+    return {one: trial for one, trial in zip(keys, trials, strict=True) if times[one] == 1}
 
 
 def _frames(trial: TrialRecord) -> Hashable:

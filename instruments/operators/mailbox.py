@@ -156,7 +156,9 @@ def give_answer(folder: Path, number: int, words: str, by: str) -> Reply:
 
 
 def _create(folder: Path, number: int, words: str, by: str) -> Reply:
-    """Written whole under another name, then linked to its own, which fails where it exists."""
+    """Written whole under another name, then linked to its own, which fails where it exists; where
+    there are no links its own is taken by an empty file, which is no answer yet.
+    """
     given = Reply(number, words, by, wall_time().isoformat(timespec="milliseconds"))
     place = folder / FOLDER / ANSWERS / f"{number}.json"
     part = place.with_name(f"{number}.{os.getpid()}-{os.urandom(4).hex()}.part")
@@ -166,7 +168,13 @@ def _create(folder: Path, number: int, words: str, by: str) -> Reply:
             file.write(data)
             file.flush()
             sync(file.fileno())
-        os.link(part, place)
+        try:
+            os.link(part, place)
+        except FileExistsError:
+            raise
+        except OSError:  # FAT and many a network's folder have no links
+            place.open("xb").close()
+            part.replace(place)
     except FileExistsError:
         there = read_answer(folder, number)
         raise AlreadyAnsweredError(number, there.by if there else "another client") from None

@@ -125,9 +125,9 @@ def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
 
 
 @contextmanager
-def drawn_later(later: Later) -> Iterator[None]:
+def drawn_later(later: Later | None) -> Iterator[None]:
     """Meanwhile ``later`` gets each figure's function and arguments, and gives what stands for its
-    SVG.
+    SVG; None: each is drawn at once.
     """
     before = _later.set(later)
     try:

@@ -18,6 +18,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
+from bench.report.beside import drawn_beside
 from bench.report.growing import TrialParts
 from bench.report.page import build_page
 from bench.results.status import status_of
@@ -56,8 +57,9 @@ def written(run: RunRecord, parts: TrialParts) -> Path:
     folder = run.folder / "report"
     calibration, judged = read_calibration(run.folder / "calibration.toml"), judge(run, rules)
     status = status_of(run, judged)
-    page = build_page(run, status, rules, judged, calibration, folder, parts=parts)
-    return write_report(page, folder)
+    with drawn_beside(parts.figures) as finished:
+        page = build_page(run, status, rules, judged, calibration, folder, parts=parts)
+        return write_report(page, folder, finished=finished)
 
 
 def test_report_of_1000_trials_that_grew(benchmark: BenchmarkFixture, run: RunRecord) -> None:

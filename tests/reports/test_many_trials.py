@@ -136,6 +136,21 @@ def test_a_large_page_s_folded_chapters_get_files_that_lead_to_each_other(
     monkeypatch.undo()
     write_report(made, tmp_path)
     assert [path.name for path in tmp_path.glob("*.html")] == ["index.html"]
+    alone = read((tmp_path / "trials" / "trial-007.html").read_text(encoding="utf-8"))
+    pages = {value.partition("#")[0] for value in alone.values("href") if "#" in value}
+    assert pages - {""} == {"../index.html"}
+
+
+def test_files_of_trials_wait_for_no_figure(page: tuple[Page, Path], tmp_path: Path) -> None:
+    def finished(waiting: Page) -> Page:
+        there.extend(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.html"))
+        return dataclasses.replace(waiting, title="Finished")
+
+    there = list[str]()
+    made = sample_page(tmp_path, REPEATS)
+    html = write_report(made, tmp_path, finished=finished).read_text(encoding="utf-8")
+    assert sorted(there) == [f"trials/trial-{number:03}.html" for number in range(1, COUNT + 1)]
+    assert "<h1>Finished</h1>" in html
 
 
 @pytest.mark.browser

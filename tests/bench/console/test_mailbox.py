@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -52,6 +55,30 @@ def test_of_many_pairs_of_answers_each_time_exactly_one_is_taken(tmp_path: Path)
     for thread in threads:
         thread.join()
     assert len(outcomes) == 2 * PAIRS
+
+
+def test_on_a_file_system_without_links_too_one_answer_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "no links on FAT")
+
+    def answer(name: str, number: int) -> bool:
+        barrier.wait()
+        with suppress(AlreadyAnsweredError):
+            return give_answer(tmp_path, number, "go", name).by == name
+        return False
+
+    monkeypatch.setattr("os.link", refused)
+    mailbox, barrier = Mailbox(tmp_path), threading.Barrier(2)
+    with ThreadPoolExecutor(2) as threads:
+        for number in range(1, 21):
+            mailbox.open(PROMPT)
+            taken = list(threads.map(answer, ("left", "right"), (number, number)))
+            assert sorted(taken) == [False, True]
+            assert mailbox.close("", "the terminal").by == ("left" if taken[0] else "right")
+    names = {path.name for path in tmp_path.rglob("*") if path.is_file()}
+    assert names == {"prompt.json", *(f"{number}.json" for number in range(1, 21))}
 
 
 @pytest.mark.parametrize(

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bench.report import beside
-from bench.report.beside import FigureProcess, each_made
+from bench.report.beside import FigureProcess, drawn_beside
 from bench.report.growing import TrialParts
 from bench.report.page import write_run_report
 from reports.figures import drawing
 from reports.figures.course import found_bars, latency_strip
-from reports.page import Figure, Fold, Part
+from reports.page import Banner, Figure, Fold, Page, Part, Section
 from tests.bench.small_run import KEPT
 
 PATIENCE_S = 600.0
 STRIP = ([0.1, 0.4, 0.2], [1.0, 2.0])
 BARS = (["near", "far"], [4, 3], [4, 4], [None, 4])
+
+
+def finished(parts: Iterable[Part], process: FigureProcess | None) -> Page:
+    """The page of one section."""
+    banner = Banner("emulated", "met", "", "", "", "")
+    with drawn_beside(process) as whole:
+        return whole(Page("", "", banner, (Section("figures", "", tuple(parts)),)))
 
 
 @pytest.fixture
@@ -42,7 +50,7 @@ def test_what_it_can_t_draw_is_raised_here(process: FigureProcess) -> None:
     wrong = ([float("nan")], [1.0])
     assert process.draw(latency_strip, wrong, {}) == ""
     with pytest.raises(ValueError, match="not finite"):
-        each_made([(Figure(latency_strip(*wrong), "", "") for _ in range(1))], process)
+        finished((Figure(latency_strip(*wrong), "", "") for _ in range(1)), process)
     assert process.draw(latency_strip, STRIP, {}) == latency_strip(*STRIP), "it goes on"
 
 
@@ -54,9 +62,9 @@ def test_some_are_drawn_here_and_some_there(
     def chapter(first: int) -> Iterator[Part]:
         for number in range(first, first + 4):
             figure = Figure(latency_strip([0.1 * number], [1.0], name=f"strip-{number}"), "", "")
-            yield figure if number % 2 else Fold("", (Fold("", (figure, figure)),))
+            yield figure if number % 2 else Fold("", (Fold("", (figure,)),))
 
-    alone = each_made([chapter(1), chapter(5)], None)
+    alone = finished(chain(chapter(1), chapter(5)), None)
     begun, drew, asked = threading.Event(), threading.Event(), list[Any]()
     here, there = drawing.draw, process.draw
 
@@ -73,7 +81,7 @@ def test_some_are_drawn_here_and_some_there(
 
     monkeypatch.setattr(drawing, "draw", drawn_here)
     monkeypatch.setattr(process, "draw", elsewhere)
-    assert each_made([chapter(1), chapter(5)], process) == alone
+    assert finished(chain(chapter(1), chapter(5)), process) == alone
     assert 0 < len(asked) < 8
 
 
@@ -92,8 +100,8 @@ def test_one_that_is_gone_is_done_without(
     for _ in range(2):
         assert process.draw(latency_strip, STRIP, {}) == ""
     assert process.process.wait() is not None
-    chapters = [[Figure(latency_strip(*STRIP), "", "")]]
-    assert each_made(chapters, process) == each_made(chapters, None)
+    made = [finished(iter([Figure(latency_strip(*STRIP), "", "")]), one) for one in (process, None)]
+    assert made[0] == made[1]
 
 
 @pytest.mark.slow
