@@ -97,12 +97,14 @@ class Renderer:
         self._ids = {trial.id for trial in page.trials}
         self._places = places_of(page.detectors)
         self._drawn = TrialRenderer(page.detectors, page.glossary)
-        self._style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
+        style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
         for who in self._places.values():
-            self._style += (
+            style += (
                 f".who-{who}{{color:{answer_colour(who)}}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
             )
+        # what files have in common is hashed once
+        self._style, self._begun = style, hashlib.sha256(style.encode())
         self._explained: dict[str, GlossaryLinks] = {}
         self._script = assets("frames.js", "script.js")
         self._environment = environment()
@@ -149,9 +151,10 @@ class Renderer:
         """The style sheet with a file's own ``rules``, and the policy that lets it and the script
         in.
         """
-        style = self._style + rules
-        by_style, by_script = map(policy_hash, (style, self._script))
-        return Markup(style), (  # noqa: S704 our own file and numbers
+        of_style = self._begun.copy()
+        of_style.update(rules.encode())
+        by_style, by_script = _source(of_style.digest()), policy_hash(self._script)
+        return Markup(self._style + rules), (  # noqa: S704 our own file and numbers
             "default-src 'none'; img-src 'self' data: file:; "
             f"style-src '{by_style}'; script-src '{by_script}'; "
             "base-uri 'none'; form-action 'none'"
@@ -375,10 +378,14 @@ def environment() -> Environment:
     return made
 
 
-@lru_cache(maxsize=8)  # files of trials have style and script in common
+@lru_cache(maxsize=8)  # files of trials have the script in common
 def policy_hash(text: str) -> str:
     """How a content security policy names a style sheet or script."""
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"
+    return _source(hashlib.sha256(text.encode()).digest())
+
+
+def _source(sha256: bytes) -> str:
+    return f"sha256-{base64.b64encode(sha256).decode('ascii')}"
 
 
 def assets(*names: str) -> str:

@@ -313,12 +313,16 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
 def _truth_error(rows: Sequence[Mapping[str, Any]]) -> str:
     """What the truth was off by, known on an emulated rig only."""
     off_mm = points_mm(rows) - [json.loads(row["exact_mm"]) for row in rows]
-    inside = [
-        off @ np.linalg.solve(covariance, off) <= CHI2_95
+    stated = [
+        (off, own)
         for off, row in zip(off_mm, rows, strict=True)
-        if (covariance := covariance_of(row)) is not None
+        if (own := covariance_of(row)) is not None
     ]
-    held = f"; the stated 95 % regions hold {sum(inside)} of {len(inside)}" if inside else ""
+    held = ""
+    if stated:
+        off, own = map(np.array, zip(*stated, strict=True))
+        inside = (off * np.linalg.solve(own, off[..., None])[..., 0]).sum(axis=1) <= CHI2_95
+        held = f"; the stated 95 % regions hold {inside.sum()} of {len(inside)}"
     far = np.linalg.norm(off_mm, axis=1)
     return (
         f"Emulated rig: the scene's exact teat ends are kept aside. The truth is {far.mean():.2f}"

@@ -214,12 +214,14 @@ def _pooled(
     n = len(seen)
     if n < LEAST_POSES:
         return None
-    medians = np.array([np.median(values[finite][own == k]) for k in range(n)])
+    counts, ranked = np.bincount(own), values[finite][np.lexsort((values[finite], own))]
+    first = np.cumsum(counts) - counts
+    medians = 0.5 * (ranked[first + (counts - 1) // 2] + ranked[first + counts // 2])
     student = scipy.special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2)
     scatter = float(student * medians.std(ddof=1) / np.sqrt(n))
     common_mm = 0.0
     if truth is not None:
-        shared_mm2 = truth.of(finite).of_mean(1.0 / (n * np.bincount(own)[own]))
+        shared_mm2 = truth.of(finite).of_mean(1.0 / (n * counts[own]))
         common_mm = float(np.sqrt(np.linalg.norm(shared_mm2, ord=2)))
     common = float(2.0 * common_mm / scales[0])
     return CameraOffset(name, float(medians.mean()), scatter, common, n, *map(float, scales[1:]))

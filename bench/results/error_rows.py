@@ -22,7 +22,7 @@ from bench.config import parse_config, read_text
 from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
 from bench.results.verdicts import scored_trials
-from bench.scoring.errors import Bools, Floats
+from bench.scoring.errors import Bools, Floats, numbered
 from bench.scoring.joint import JointCovariance
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
 from bench.scoring.spread import (
@@ -241,13 +241,16 @@ def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
         at.setdefault(key, []).append(row)
     distances = np.full(len(rows.found), np.nan)
     distances[rows.found] = np.linalg.norm(rows.errors_mm, axis=1)
+    at_place = numbered([*zip(rows.teats, rows.poses, strict=True)])
+    sums = np.array([np.bincount(at_place, along) for along in rows.places_mm.T])
+    means = dict(zip(at, (sums / np.bincount(at_place)).T.tolist(), strict=True))
     places = []
     for teat, pose in sorted(at, key=lambda key: (key[0], at[key][0])):
         here = at[teat, pose]
         missed = [rows.trials[row] for row in here if not rows.found[row]]
         seen = [(float(distances[row]), rows.trials[row]) for row in here if rows.found[row]]
         worst_mm, worst = max(seen, key=itemgetter(0), default=(None, None))  # the first of equals
-        x, y, z = rows.places_mm[here].mean(axis=0).tolist()
+        x, y, z = means[teat, pose]
         first_missed = missed[0] if missed else None
         counts = len(here), len(here) - len(missed)
         places.append(PosePlace(teat, pose, (x, y, z), *counts, worst_mm, worst, first_missed))
