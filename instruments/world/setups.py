@@ -22,7 +22,7 @@ from instruments.world.solids import Bools, Hull
 from instruments.world.state import TEAT_FALL, SceneState
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class Situation:
     """One member of a family: what stands where, light, paint, exposure. ``about``: what to set up.
     ``cooler_k``: each teat than the water makes it; ``ends_cooler_k``: each end than its base;

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -39,9 +40,16 @@ CLEAR_MM = 4.0  # between teats that don't overlap, as seen
 CLOSE = ("overlapping", "anywhere")  # families with a rule of their own for it
 
 
+# of a run of any length: its report asks for them again, when `member` may have forgotten the first
+_in_use = WeakValueDictionary[tuple[str, int], Situation]()
+
+
 def situation(name: str, seed: int) -> Situation:
     """Member ``seed`` of the family. Raises ValueError for an unknown name or negative seed."""
-    return member(name, seed)[0]
+    found = _in_use.get((name, seed))
+    if found is None:
+        found = _in_use[name, seed] = member(name, seed)[0]
+    return found
 
 
 @lru_cache(maxsize=1024)

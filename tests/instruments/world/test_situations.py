@@ -13,7 +13,7 @@ from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
 from instruments.world.setups import Situation, hidden_ways, situation_faults
-from instruments.world.situations import SITUATIONS, situation
+from instruments.world.situations import SITUATIONS, member, situation
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
 from tests.examples import few
@@ -277,6 +277,13 @@ def test_faults_are_reported(change: Callable[[Situation], dict[str, object]], s
     one = members("ideal")[0]
     changed = replace(one, **change(one))  # type: ignore[arg-type]
     assert any(said in fault for fault in situation_faults(changed)), situation_faults(changed)
+
+
+def test_a_scene_that_is_in_use_is_drawn_once() -> None:
+    """As of a run with more scenes than `member` remembers."""
+    one = situation("ideal", 12)
+    member.cache_clear()
+    assert situation("ideal", 12) is one
 
 
 def test_unknown_names_and_seeds_are_refused() -> None:
