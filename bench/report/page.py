@@ -103,9 +103,9 @@ def write_run_report(
             )
             # by another reading of the run: it may not stand beside this one
             (folder / REPORT / PDF).unlink(missing_ok=True)
+            listed = judgements or judge(run, rules)  # its requirements, where nothing was scored
+            write_exports(run, status, listed, folder / REPORT)
             path = write_report(page, folder / REPORT, finished=finished)
-        listed = judgements or judge(run, rules)  # its requirements, where nothing was scored
-        write_exports(run, status, listed, folder / REPORT)
         return Reported(folder, path, run, judgements, status)
     except OSError as error:
         if is_unreadable(error):
