@@ -147,6 +147,6 @@ def _digest(run: RunRecord, trial: TrialRecord, calibration_sha256: str) -> str:
     of_run = (str(run.folder), run.detectors, run.facts.get("bath figures"), calibration_sha256)
     data = io.BytesIO()
     pickler = pickle.Pickler(data)  # takes an eighth of what the floats' decimals take
-    pickler.fast = True  # equal values are equal bytes, whatever else they are values of
+    pickler.fast = True  # by value, not by which of them are one object
     pickler.dump((of_run, rows, [*trial.scores], scores, readings_at(run, trial)))
     return hashlib.sha256(data.getvalue()).hexdigest()
