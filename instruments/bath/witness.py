@@ -75,8 +75,7 @@ class Witness(Strict):
 @lru_cache
 def witness_of(family: str) -> Witness | None:
     """The witness whose file names the family; the others are not parsed, which takes longer."""
-    for path in WITNESSES.glob("*.toml"):
-        text = path.read_text(encoding="utf-8")
+    for text in (path.read_text(encoding="utf-8") for path in WITNESSES.glob("*.toml")):
         if f'family = "{family}"' in text.splitlines():
             return Witness.model_validate(tomllib.loads(text))
     return None
