@@ -9,6 +9,7 @@ import tomllib
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -87,12 +88,11 @@ def test_every_profile_has_a_witness() -> None:
 
 
 def test_only_the_familys_own_witness_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    parsed, read = list[str](), tomllib.loads
-    monkeypatch.setattr(tomllib, "loads", lambda text: parsed.append(text) or read(text))
+    monkeypatch.setattr(tomllib, "loads", parsed := Mock(wraps=tomllib.loads))
     witness_of.cache_clear()
     assert witness_of("JULABO PRESTO")
     assert witness_of("JULABO") is None
-    assert len(parsed) == 1
+    assert parsed.call_count == 1
 
 
 @pytest.mark.parametrize("name", REGISTER_FAMILIES)
