@@ -14,6 +14,7 @@ from bench.api.calibration import take_views as take_views
 from bench.api.calibration import touch_points as touch_points
 from bench.api.campaigns import CampaignResult as CampaignResult
 from bench.api.campaigns import run_campaign as run_campaign
+from bench.api.dry_runs import check_script as check_script
 from bench.api.instruments import BathView as BathView
 from bench.api.instruments import TriedBath as TriedBath
 from bench.api.instruments import acknowledge as acknowledge
@@ -22,8 +23,11 @@ from bench.api.instruments import record_frames as record_frames
 from bench.api.instruments import thermal_profiles as thermal_profiles
 from bench.api.instruments import try_bath as try_bath
 from bench.api.instruments import watch_bath as watch_bath
+from bench.api.loading import load_rig as load_rig
+from bench.api.loading import load_script as load_script
+from bench.api.loading import rigs as rigs
+from bench.api.loading import scripts as scripts
 from bench.api.planning import ScriptPlan as ScriptPlan
-from bench.api.planning import check_script as check_script
 from bench.api.planning import plan_poses as plan_poses
 from bench.api.planning import plan_script as plan_script
 from bench.api.records import compare_runs as compare_runs
@@ -41,7 +45,6 @@ from bench.api.runs import FoundRow as FoundRow
 from bench.api.runs import TouchRow as TouchRow
 from bench.api.runs import TrialRow as TrialRow
 from bench.api.runs import TruthOfTeat as TruthOfTeat
-from bench.api.runs import load_script as load_script
 from bench.api.runs import program as program
 from bench.api.runs import read_rows as read_rows
 from bench.api.runs import read_run as read_run
@@ -51,7 +54,6 @@ from bench.api.runs import rig_of_run as rig_of_run
 from bench.api.runs import run_queue as run_queue
 from bench.api.runs import run_script as run_script
 from bench.api.runs import score_recording as score_recording
-from bench.api.runs import scripts as scripts
 from bench.api.runs import write_report as write_report
 from bench.api.serving import ServedRig as ServedRig
 from bench.api.serving import serve_rig as serve_rig
@@ -61,10 +63,8 @@ from bench.api.shots import detectors as detectors
 from bench.api.shots import draw as draw
 from bench.api.shots import families as families
 from bench.api.shots import labels as labels
-from bench.api.shots import load_rig as load_rig
 from bench.api.shots import member as member
 from bench.api.shots import open_detector as open_detector
-from bench.api.shots import rigs as rigs
 from bench.api.shots import score as score
 from bench.calibrate.arm import VerificationPlan as VerificationPlan
 from bench.calibrate.board_print import board_pdf as board_pdf

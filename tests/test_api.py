@@ -195,6 +195,9 @@ HEAVY = {"numpy", "cv2", "pydantic", "typing", "pytest", "hypothesis"}
         ("bench", HEAVY),
         ("bench.cli.terminal", {"scipy.special"}),
         ("bench.api.runs", {"scipy.special"}),
+        ("bench.api.loading", {"bench.run", "bench.results", "bench.rig.opening", "pymodbus"}),
+        ("bench.api.planning", {"bench.run.engine", "bench.rig.opening", "pymodbus"}),
+        ("bench.api.dry_runs", {"bench.api.runs", "bench.results.comparison", "numba", "jinja2"}),
     ],
 )
 def test_an_import_loads_nothing_heavy(module: str, heavy: set[str]) -> None:
@@ -203,6 +206,22 @@ def test_an_import_loads_nothing_heavy(module: str, heavy: set[str]) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert said.stdout == "[]\n"
+
+
+def test_an_import_builds_no_model_of_a_file_that_is_not_read_yet() -> None:
+    """Of a capture, a prompt, an arm or its verification."""
+    code = """
+import gc
+import bench.api.dry_runs
+from pydantic import BaseModel, TypeAdapter
+rooms = "instruments.captures", "instruments.operators", "instruments.microscribe", "bench.rig.arm_files"
+for one in gc.get_objects():
+    made = type(one) is TypeAdapter and one.pydantic_complete
+    if made or type(one) is type(BaseModel) and one.__pydantic_complete__ and one.__module__.startswith(rooms):
+        print(one)
+"""
+    given: dict[str, Any] = {"capture_output": True, "text": True, "check": True, "cwd": ROOT}
+    assert subprocess.run([sys.executable, "-c", code], **given).stdout == ""
 
 
 FUNCTIONS = {

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from bench.api.loading import AnyRig
 from bench.api.rigs import OpenRig, open_rig
-from bench.api.shots import AnyRig
 from bench.calibrate.exchange import read_maker
 from bench.calibrate.merge import calibration_record
 from bench.calibrate.views import ViewsRequest, free_folder, gather

@@ -10,7 +10,7 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.api.shots import AnyRig, load_rig
+from bench.api.loading import AnyRig, load_rig
 from bench.config import ConfigError, check_within, read_text
 from bench.record.recording import added_to
 from bench.rig.alone import OpenCameras, open_bath

@@ -5,13 +5,12 @@ checked first, and one that isn't as it was written is refused.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from bench.config import ConfigError, check_within, several, writing, wrong_use
 from bench.files import write_synced
-from bench.record.check import NOT_AS_WRITTEN, checked_first
+from bench.record.check import NOT_AS_WRITTEN, Damage, known_damage
 from bench.results.comparison import Comparison, PooledRuns, compare_folders, judge_folders
 from bench.results.status import read_status
 from bench.run.interruptions import leave_request, was_taken
@@ -20,19 +19,6 @@ from textfiles.bounds import MARGIN, SHARE
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
-Damage = tuple[str, ...] | None
-
-
-@contextmanager
-def known(runs: Sequence[Path], damage: Damage) -> Iterator[tuple[str, ...]]:
-    """The damage of these records. Raises ConfigError where they were not checked before, and one
-    is damaged.
-    """
-    if damage is not None:
-        yield damage
-        return
-    with checked_first(runs, despite_damage=False) as found:
-        yield found
 
 
 def compare_runs(
@@ -51,7 +37,7 @@ def compare_runs(
     folders, detectors = [*map(Path, several("runs", runs, 1))], several("detectors", detectors)
     check_within(SHARE, confidence=confidence)
     check_within(MARGIN, margin_mm=margin_mm)
-    with known(folders, damage) as there:
+    with known_damage(folders, damage) as there:
         return compare_folders(
             folders, detectors, margin_mm=margin_mm, confidence=confidence, damage=there
         )
@@ -69,7 +55,7 @@ def judge_together(
     scripts without ``across_scripts``.
     """
     folders, detectors = [*map(Path, several("runs", runs, 1))], several("detectors", detectors)
-    with known(folders, damage) as there:
+    with known_damage(folders, damage) as there:
         return judge_folders(folders, detectors, there, across_scripts=across_scripts)
 
 
@@ -82,7 +68,7 @@ def export_record(
     from bench.record.tables import export_csv, export_parquet, needed
 
     source, to = Path(run), Path(out)
-    with writing(to), known([source], damage) as there:
+    with writing(to), known_damage([source], damage) as there:
         (to / DAMAGED).unlink(missing_ok=True)
         write = {"csv": export_csv, "parquet": export_parquet}.get(kind)
         if kind == "mcap":
@@ -112,7 +98,7 @@ def pack_run(
 
     with wrong_use():
         licence = licence and canonicalize_license_expression(licence)
-    with writing(Path(out)), known([Path(run)], damage):
+    with writing(Path(out)), known_damage([Path(run)], damage):
         return packed(Path(run), Path(out), title, licence)
 
 

@@ -9,7 +9,8 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from bench.api.shots import AnyRig, Shot, load_rig
+from bench.api.loading import AnyRig, load_rig
+from bench.api.shots import Shot
 from bench.arguments import GuardedProxy
 from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow

@@ -14,21 +14,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
 
-from bench.api.records import Damage, known
-from bench.api.shots import AnyRig, load_rig
+from bench.api.loading import OUT, AnyRig, AnyScript, load_rig, load_script
 from bench.config import ConfigError, all_of, check_within, several, wrong_use
+from bench.record.check import Damage, known_damage
 from bench.record.reader import RunRecord, opened
 from bench.record.recording import RecordingError
 from bench.record.schema import tables_of
 from bench.results.status import Reported, RunStatus
 from bench.rig.leaving import to_stderr
-from bench.rig.loading import LoadedRig, shipped
+from bench.rig.loading import LoadedRig
 from bench.run import estimate
 from bench.run.events import ENDED, Events, Progress, event_lines
 from bench.run.resume import ASKED, files_of
 from bench.safety.signals import in_own_thread
-from bench.script.model import TRIALS, LoadedScript, find_script
-from bench.script.model import load_script as load_script_file
+from bench.script.model import LoadedScript
 from detector.protocol import Detector
 from instruments.captures.capture import CaptureFile
 from instruments.errors import InstrumentError
@@ -38,9 +37,6 @@ from textfiles.whole import refusal
 
 if TYPE_CHECKING:
     from bench.report.growing import TrialParts
-
-OUT = Path("runs")
-AnyScript = str | Path | LoadedScript | None
 
 
 class QuietProgress:
@@ -54,16 +50,6 @@ class QuietProgress:
 
     def aside(self) -> AbstractContextManager[None]:
         return nullcontext()
-
-
-def load_script(script: AnyScript = None, rig: AnyRig | None = None) -> LoadedScript:
-    """A shipped script by name, or any by its file; the six situations for None. Held against the
-    set points of ``rig``, where given. Raises ConfigError with all faults.
-    """
-    if isinstance(script, LoadedScript):
-        return script
-    limits_c = load_rig(rig).rig.limits.set_point_c if rig is not None else None
-    return load_script_file(find_script(None if script is None else str(script)), limits_c)
 
 
 class _Parts:
@@ -265,11 +251,6 @@ def program(usage: str, *kinds: Callable[[str], Any]) -> Iterator[Sequence[Any]]
         sys.exit(3 if isinstance(error, InstrumentError) else 2)
 
 
-def scripts() -> tuple[str, ...]:
-    """The names of the trial scripts that ship."""
-    return tuple(shipped(TRIALS))
-
-
 def resume_run(
     folder: Path | str,
     *,
@@ -289,7 +270,7 @@ def resume_run(
     from bench.run.start import resume_run as resumed
 
     shown = progress or QuietProgress()
-    with closing(_Parts(shown)) as parts, known([Path(folder)], damage) as there:
+    with closing(_Parts(shown)) as parts, known_damage([Path(folder)], damage) as there:
         how = RunOptions(capture=capture, typed=typed, begun=begun, between=parts.grow)
         urls = several("notify", notify) or rig_of_run(folder).rig.notify.urls
         with _followed(shown, events, urls) as (stream, word):
@@ -331,7 +312,7 @@ def write_report(
     from bench.results.exports import report_withdrawn
 
     run, older = Path(folder), [Path(baseline)] if baseline is not None else []
-    with report_withdrawn(run), known([run, *older], damage) as there:
+    with report_withdrawn(run), known_damage([run, *older], damage) as there:
         # first: a comparison is a look, which the record that is reported then has
         parts = tuple(part for one in older for part in baseline_parts(one, run, there))
         return write_run_report(run, parts, there)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 
-from bench.api.shots import AnyRig, load_rig
+from bench.api.loading import AnyRig, load_rig
 from bench.config import ConfigError
 from bench.rig.emulated_rig import PORTS, EmulatedRig, port_of
 from bench.rig.loading import LoadedRig

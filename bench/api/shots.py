@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from bench.api.loading import AnyRig, load_rig
 from bench.arguments import bare, lent
 from bench.config import ConfigError, check_within, wrong_use
 from bench.record.recording import TruthRow
@@ -20,8 +21,7 @@ from bench.results.answers import (
     examine,
     score_answer,
 )
-from bench.rig.loading import NO_RIGS, RIGS, LoadedRig, any_rig, shipped
-from bench.rig.loading import AnyRig as AnyRig
+from bench.rig.loading import LoadedRig
 from bench.rig.loading import load_rig as load_rig_file
 from bench.rig.scenes import Perturbation, rig_renderer, warm
 from bench.rig.scenes import draw as draw_state
@@ -40,7 +40,6 @@ from instruments.world.state import SceneState
 from textfiles.bounds import ABOVE_0, FROM_0
 
 AnyScene = str | Situation | SceneState
-load_rig = any_rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,11 +52,6 @@ class Shot:
     calibration: Calibration
     truth: tuple[TruthRow, ...] = ()
     state: SceneState | None = None
-
-
-def rigs() -> tuple[str, ...]:
-    """The names of the rig files that ship and can be opened as they are."""
-    return tuple(name for name in shipped(RIGS) if name not in NO_RIGS)
 
 
 def families() -> tuple[str, ...]:

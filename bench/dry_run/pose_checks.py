@@ -24,7 +24,7 @@ from bench.script.planned_trials import PlannedTrial, pose_text, shared
 from bench.truth.stage_registration import around
 from detector.geometry import Camera, Motion
 from instruments.errors import InstrumentError
-from instruments.microscribe.kinematics import OutOfReachError, inverse
+from instruments.microscribe.kinematics import OutOfReachError, inverse, surely_reached
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
 from instruments.stage.settings import AxisLimits, StageSettings
 from instruments.world.objects import make_object
@@ -209,9 +209,11 @@ def _out_of_reach(rig: LoadedRig, script: LoadedScript) -> Iterator[PoseFault]:
     frame = rig.frame.world_from_arm if rig.frame else Motion.from_vectors(placed.om, placed.T)
     arm_from_world, upright_only = frame.inverse(), rig.rig.operator.url == EMULATED
     up = arm_from_world.R @ STYLUS_UP
-    for name, phantom in to_touch:
-        for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
-            if way_to(unit, end, up, upright_only=upright_only) is None:
+    ends = [arm_from_world.apply(phantom.ends_mm) for _, phantom in to_touch]
+    sure = iter(surely_reached(unit.geometry(), np.vstack(ends), up, start=unit.home))
+    for (name, phantom), there in zip(to_touch, ends, strict=True):
+        for teat, end in enumerate(there):
+            if not next(sure) and way_to(unit, end, up, upright_only=upright_only) is None:
                 where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
                 text = f"the arm doesn't reach the end of {_name(phantom, teat)} at {where} mm"
                 yield PoseFault(name, "reach", text)

@@ -27,6 +27,7 @@ NOT_AS_WRITTEN = "The record is NOT as it was written"
 PRINTED = Path("report") / "run.json"
 COUNTED = ("trials", "frames", "events", "bath")
 Folders = Sequence[Path | str]
+Damage = tuple[str, ...] | None  # in sentences; None: not looked for yet
 SHOWN = 5  # damages of a run, in one message
 
 
@@ -150,6 +151,18 @@ def checked_first(folders: Folders, *, despite_damage: bool) -> Iterator[tuple[s
             f"the record is too damaged for this ({type(error).__name__}: {error})."
             f" {shortened(damage) if damage else why}"
         ) from error
+
+
+@contextmanager
+def known_damage(folders: Folders, damage: Damage) -> Iterator[tuple[str, ...]]:
+    """The damage of these records. Raises ConfigError where they were not checked before, and one
+    is damaged.
+    """
+    if damage is not None:
+        yield damage
+        return
+    with checked_first(folders, despite_damage=False) as found:
+        yield found
 
 
 def damage_text(damage: Sequence[str]) -> str:

@@ -29,7 +29,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, TypeAdapter
+from pydantic import AwareDatetime, ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter
 
 from bench.config import FileTable, KeyPath, located, read_config, read_text
 from bench.toml import toml_text
@@ -256,6 +256,8 @@ class VerificationLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verification:
+    __pydantic_config__ = ConfigDict(defer_build=True)  # few commands read one
+
     made: datetime
     serial_number: str
     locations: tuple[LocationTest, ...]

@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.api.shots import Shot, load_rig, open_detector, score
+from bench.api.loading import load_rig
+from bench.api.shots import Shot, open_detector, score
 from bench.arguments import bare
 from bench.config import ConfigError, check_within
 from bench.results.answers import LIMIT_MM, Answer, examine, name_of

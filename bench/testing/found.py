@@ -10,7 +10,7 @@ from zlib import crc32
 import cv2
 from pydantic import TypeAdapter, ValidationError
 
-from bench.api.shots import load_rig
+from bench.api.loading import load_rig
 from bench.campaign.chunk import digest_of_frames
 from bench.config import ConfigError, read_text, toml_of
 from bench.files import write_together

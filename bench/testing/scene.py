@@ -11,7 +11,8 @@ from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, get_type_hints
 
-from bench.api.shots import AnyRig, Shot, draw
+from bench.api.loading import AnyRig
+from bench.api.shots import Shot, draw
 from bench.arguments import fits, words
 from bench.campaign.perturbations import KINDS as PERTURBATIONS
 from bench.campaign.perturbations import Applied

@@ -7,8 +7,9 @@ from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
 
+from bench.api.loading import load_rig
 from bench.api.runs import write_report
-from bench.api.shots import Shot, load_rig, open_detector
+from bench.api.shots import Shot, open_detector
 from bench.config import ConfigError, did_you_mean, parse_config, read_config, read_text
 from bench.results.answers import Examiner, name_of, score_answer
 from bench.results.status import Reported

@@ -200,7 +200,7 @@ def read_capture(path: Path) -> Capture:
 
 
 class _Line(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid")
+    model_config = ConfigDict(strict=True, extra="forbid", defer_build=True)
 
 
 class _Header(_Line):
@@ -239,7 +239,8 @@ class _Closed(_Event):
 
 
 _EVENT: TypeAdapter[_Opened | _Bytes | _Closed] = TypeAdapter(
-    Annotated[_Opened | _Bytes | _Closed, Field(discriminator="event")]
+    Annotated[_Opened | _Bytes | _Closed, Field(discriminator="event")],
+    config=ConfigDict(defer_build=True),
 )
 
 

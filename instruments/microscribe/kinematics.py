@@ -160,9 +160,7 @@ def inverse(
         angles, misses_mm = _settle(
             geometry, angles[misses_mm < _BLIND_RAD * _DIRECTION_MM], goal, None
         )
-    turned = np.mod(angles - home + np.pi, 2.0 * np.pi) - np.pi
-    within = (turned >= RANGES_RAD[:, 0]) & (turned <= RANGES_RAD[:, 1])
-    fits = (misses_mm < _TOLERANCE_MM) & within[:, geometry.active].all(axis=1)
+    turned, fits = _fitting(geometry, angles, misses_mm, home)
     if not fits.any():
         where = f"out of reach: the tip at {_shown(goal)} mm"
         if stylus is not None:
@@ -177,6 +175,27 @@ def inverse(
         geometry.active, nearest / (2.0 * np.pi) * geometry.turns, 0.0
     )
     return counts
+
+
+def surely_reached(
+    geometry: ArmGeometry, points_mm: Floats, direction: Floats, *, start: npt.ArrayLike
+) -> npt.NDArray[np.bool_]:
+    """For which of the points (n, 3) `inverse` finds a pose by the first of its starts, all points
+    beside each other; most that are within reach. The others need `inverse`.
+    """
+    home, stylus = geometry.angles(start)[0], direction / np.linalg.norm(direction)
+    starts = np.array([_starts(geometry, point, stylus, home)[0] for point in points_mm])
+    settled = _settle(geometry, starts, points_mm, stylus)
+    return _fitting(geometry, *settled, home)[1]
+
+
+def _fitting(
+    geometry: ArmGeometry, angles: Floats, misses_mm: Floats, home: Floats
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Poses (n, 6) as turns from ``home``, and which of them are there and within `RANGES_RAD`."""
+    turned = np.mod(angles - home + np.pi, 2.0 * np.pi) - np.pi
+    within = (turned >= RANGES_RAD[:, 0]) & (turned <= RANGES_RAD[:, 1])
+    return turned, (misses_mm < _TOLERANCE_MM) & within[:, geometry.active].all(axis=1)
 
 
 def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats) -> Floats:
@@ -216,8 +235,10 @@ def _about_z(points: Floats, angles_rad: Floats) -> Floats:
 
 
 def _target(tip: Floats, axis: Floats | None) -> Floats:
-    """(..., 3) or (..., 6) mm: the tip, then the weighted direction."""
-    return tip if axis is None else np.concatenate([tip, _DIRECTION_MM * axis], axis=-1)
+    """(..., 3) or (..., 6) mm: the tip, then the weighted direction, which may be one for all."""
+    if axis is None:
+        return tip
+    return np.concatenate([tip, np.broadcast_to(_DIRECTION_MM * axis, tip.shape)], axis=-1)
 
 
 def _squares(misses: Floats) -> Floats:
@@ -228,9 +249,11 @@ def _squares(misses: Floats) -> Floats:
 def _settle(
     geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None
 ) -> tuple[Floats, Floats]:
-    """Levenberg-Marquardt on all rows (n, 6), each with its own damping; angles, misses (n,)."""
+    """Levenberg-Marquardt on all rows (n, 6), each with its own damping; angles, misses (n,). The
+    ``goal`` is (3,), or (n, 3).
+    """
     target = _target(goal, stylus)
-    rows = len(target)
+    rows = target.shape[-1]
 
     def seen(angles: Floats) -> tuple[Floats, Floats, Floats]:
         rotations, origins = geometry.frames(angles)

@@ -59,11 +59,11 @@ class _Parameters(Joints):
     beta: conf.Word = 0
 
 
-class _Peg(BaseModel, extra="forbid"):
+class _Peg(BaseModel, extra="forbid", defer_build=True):
     counts: Counts
 
 
-class _File(BaseModel, extra="forbid"):
+class _File(BaseModel, extra="forbid", defer_build=True):
     names: Identity
     maxima: Maxima
     parameters: _Parameters

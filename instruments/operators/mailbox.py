@@ -100,7 +100,7 @@ class Mailbox:
 class _PromptFile(BaseModel):
     """`PROMPT` as the run writes it; further keys are for the browser."""
 
-    model_config = ConfigDict(strict=True, extra="allow")
+    model_config = ConfigDict(strict=True, extra="allow", defer_build=True)
 
     number: int
     open: bool

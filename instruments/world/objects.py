@@ -10,7 +10,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -261,10 +261,13 @@ KINDS = {
 }
 
 
+_shape_of = cache(inspect.signature)
+
+
 def parameters(kind: str) -> tuple[str, ...]:
     """The parameters that a kind takes. Raises ValueError for a kind that isn't known."""
     check_known("kind of object", kind, KINDS)
-    return (*inspect.signature(KINDS[kind][0]).parameters, *LOOK)
+    return (*_shape_of(KINDS[kind][0]).parameters, *LOOK)
 
 
 def make_object(kind: str, **params: Any) -> SceneObject:

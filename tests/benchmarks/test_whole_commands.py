@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from statistics import median
 
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
@@ -30,12 +31,22 @@ finally:
 """
 )
 
+START = """
+import os, runpy, sys, time
+def ends(event, arguments):
+    if event == "tempfile.mkdtemp" and "teatbench-dry-run-" in arguments[0]:
+        print("spent", time.process_time(), file=sys.stderr, flush=True)
+        os._exit(0)
+sys.addaudithook(ends)
+runpy.run_module("bench.cli", run_name="__main__", alter_sys=True)
+"""
 
-def call(*arguments: str) -> str:
+
+def call(*arguments: str, child: str = CHILD) -> str:
     """Run a command in a fresh process; its standard error."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-c", CHILD, *arguments],
+        [sys.executable, "-c", child, *arguments],
         env=environment,
         capture_output=True,
         text=True,
@@ -77,3 +88,15 @@ def test_detect_on_one_frame(benchmark: BenchmarkFixture, tmp_path: Path, detect
     after = os.times()
     spent_s = sum(getattr(after, of) - getattr(before, of) for of in CHILDREN) / 5
     beside_fixed(benchmark, f"detect on one frame, {detector}", spent_s, "0.8")
+
+
+def test_start_of_a_dry_run(benchmark: BenchmarkFixture) -> None:
+    """Until its rehearsal makes its folder: files are read, poses looked at, detectors made."""
+    spent_s: list[float] = []
+
+    def start() -> None:
+        stderr = call("run", "six-situations", "--dry-run", child=START)
+        spent_s.append(float(stderr.split("spent ")[1].split()[0]))
+
+    benchmark.pedantic(start, rounds=15, warmup_rounds=2)
+    beside_fixed(benchmark, "start of a dry run", median(spent_s[2:]), "0.5")

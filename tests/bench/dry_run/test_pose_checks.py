@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from bench.dry_run import pose_checks
 from bench.dry_run.pose_checks import dry_run
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.run.estimate import carry_touches
@@ -46,6 +47,14 @@ def kinds(rig: LoadedRig, loaded: LoadedScript) -> dict[str, str]:
 @pytest.mark.parametrize("name", ["six-situations", "plane-map", "repeatability", "random-udder"])
 def test_what_ships_is_clean(rig: LoadedRig, name: str) -> None:
     assert dry_run(rig, load_script(find_script(name)), TRAVEL) == ((), ())
+
+
+def test_an_arm_that_reaches_all_ends_is_asked_for_no_pose_alone(
+    rig: LoadedRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which takes some milliseconds for each end."""
+    monkeypatch.delattr(pose_checks, "inverse")
+    assert dry_run(rig, load_script(find_script("plane-map")), TRAVEL) == ((), ())
 
 
 ROD = ({"kind": "rod", "x_mm": -150.0, "y_mm": 284.0},)

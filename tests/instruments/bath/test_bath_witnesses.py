@@ -9,6 +9,7 @@ import tomllib
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -16,7 +17,7 @@ from instruments.bath.driver import OwnBath
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, RegisterProfile, load_profile, profile_names
 from instruments.bath.rows import LineRow, Quantity, Row
-from instruments.bath.witness import WITNESSES, Witness, device_of, witnesses
+from instruments.bath.witness import WITNESSES, Witness, device_of, witness_of
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, ProtocolError
 from instruments.listener import Listener
@@ -49,7 +50,10 @@ WITHOUT_WITNESS: dict[str, set[str]] = {
 def family_of(name: str) -> tuple[RegisterProfile, Witness]:
     profile = load_profile(name)
     assert isinstance(profile, RegisterProfile)
-    return profile, witnesses()[profile.family]
+    witness = witness_of(profile.family)
+    assert witness
+    assert witness.family == profile.family
+    return profile, witness
 
 
 def place(row: Row, order: str) -> tuple[object, ...]:
@@ -81,6 +85,14 @@ def test_every_profile_has_a_witness() -> None:
     assert {*WITHOUT_WITNESS} == {*profile_names()}
     assert {path.stem for path in WITNESSES.glob("*.toml")} == {*REGISTER_FAMILIES}
     assert {path.stem for path in TRANSCRIPTS.glob("*.toml")} == {*LINE_FAMILIES}
+
+
+def test_only_the_familys_own_witness_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tomllib, "loads", parsed := Mock(wraps=tomllib.loads))
+    witness_of.cache_clear()
+    assert witness_of("JULABO PRESTO")
+    assert witness_of("JULABO") is None
+    assert parsed.call_count == 1
 
 
 @pytest.mark.parametrize("name", REGISTER_FAMILIES)

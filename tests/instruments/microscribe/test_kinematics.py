@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.microscribe.kinematics import RANGES_RAD, Floats, OutOfReachError, inverse
+from instruments.microscribe.kinematics import (
+    RANGES_RAD,
+    Floats,
+    OutOfReachError,
+    inverse,
+    surely_reached,
+)
 from tests.instruments.microscribe import rigs
 from tests.instruments.microscribe.rigs import UNIT
 
@@ -120,6 +128,20 @@ def test_without_a_direction_any_pose_at_the_point_will_do() -> None:
 def test_what_is_out_of_reach_says_why(point: tuple[float, ...], why: str) -> None:
     with pytest.raises(OutOfReachError, match=why):
         inverse(ARM, point, (0, 0, -1), start=HOME)
+
+
+def test_what_is_surely_reached_is_reached_and_that_is_most_of_it() -> None:
+    """Tips of poses drawn from the joints' ranges, the stylus upright, which not all of them can be."""
+    low, high = RANGES_RAD.T
+    turned = np.random.default_rng(3).uniform(low, high, (90, 6)) * ARM.active
+    points, _ = ARM.forward_angles(ARM.angles(HOME) + turned)
+    up = np.array([0.0, 0.0, 2.0])
+    sure, reached = surely_reached(ARM, points, up, start=HOME), np.zeros(90, dtype=bool)
+    for at, point in enumerate(points):
+        with suppress(OutOfReachError):
+            reached[at] = inverse(ARM, point, up, start=HOME).any()
+    assert not (sure & ~reached).any()
+    assert 0.9 * reached.sum() < sure.sum() < reached.sum() < 80
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 0), (0, 1), (0, 0, float("nan"))])
