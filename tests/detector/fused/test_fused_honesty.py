@@ -153,7 +153,7 @@ AN_ARMS_EDGE = pytest.mark.xfail(
         pytest.param("cluttered", 1127, 110176, id="a post behind the end disturbs its edges"),
         pytest.param("cluttered", 1127, 110386, id="one side in all pictures, a post before it"),
         pytest.param("wet", 1127, 110095, id="gloss: lines in unlike light"),
-        pytest.param("swollen", 1, 298, id="a side leads the fit to taper"),
+        pytest.param("swollen", 1, 298, id="one side, far from the usual width"),
         pytest.param("rods", 1, 277, id="one side, leaning in depth"),
         pytest.param("cooler_bodies", 1, 295, id="one side, leaning in depth, an arm"),
     ],

@@ -45,7 +45,7 @@ def test_other_fits_of_a_place_count_the_more_the_less_likely_it_is() -> None:
     def sd_mm(scatter_mm: float, odds: float) -> Array:
         between = np.tile(scatter_mm**2 * np.eye(3), (len(rows), 1, 1))
         terms = variance_terms(own, between, np.full(len(rows), odds), fits, exact)
-        return np.sqrt(np.linalg.eigvalsh(stated(terms, learned()))[:, -1])
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(stated(terms, learned()))[:, -1]))
 
     alone, sure, doubtful = sd_mm(0.0, 7.0), sd_mm(2.0, 7.0), sd_mm(2.0, 0.0)
     assert (alone < sure).all()
