@@ -12,14 +12,25 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from detector.calibration import Calibration
-from detector.fused.decide import Fits, aside, one_sided
+from detector.fused.decide import Fits, one_sided
 from detector.fused.learned import Learned, in_order
 from detector.fused.parameters import Parameters
 from detector.fused.refine import any_shape
 from detector.geometry import Array, or_zero
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import apex_jacobian, information, usual
-from detector.outline.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, TAPER, apexes, axes
+from detector.outline.model import (
+    END,
+    HEIGHT,
+    LEAN_X,
+    LEAN_Z,
+    RADIUS,
+    SIDE_A,
+    SIDE_B,
+    TAPER,
+    apexes,
+    axes,
+)
 from detector.outline.prior import disparities_px
 from detector.outline.views import THERMAL_FLOOR_PX
 
@@ -72,30 +83,9 @@ _SHOWN_PX = 0.6  # how far off an edge may be that shows an end
 # the half of an end that is farthest out, in both optical pictures: it says where the end is
 _TIP = np.tile(FINE_OUTLINE.part == END, 2)
 _TIP[np.flatnonzero(_TIP).reshape(2, 4, -1)[:, [0, -1]].ravel()] = False
-HELD = {"radius": RADIUS, "taper": TAPER, "height": HEIGHT}
 _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 _LEFT_OVER = 0.4, 5.0  # at least and at most
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
-
-
-def _sure(fitted: Fitted, p: Parameters) -> Array:
-    """Inverse variances (m, 8) of the priors of fits."""
-    return np.where(fitted.shaped[:, None], *(usual(q)[1] for q in (any_shape(p.prior), p.prior)))
-
-
-def _of_ends(fitted: Fitted, p: Parameters) -> Array:
-    """How ends move with the right sides of the normal equations (m, 8, 3)."""
-    H = information(fitted.seen, fitted.weight, _sure(fitted, p))
-    return np.asarray(np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1)))
-
-
-def held(fitted: Fitted, p: Parameters) -> Array:
-    """How the ends move (m, 3, 3), the fits' frame, with the priors' means of `HELD`, mm a standard
-    deviation: little where the edges say what a number is.
-    """
-    which = list(HELD.values())
-    sds = np.sqrt(_sure(fitted, p)[:, which])
-    return np.asarray(_of_ends(fitted, p)[:, which].transpose(0, 2, 1) * sds[:, None])
 
 
 def end_covariances(fitted: Fitted, p: Parameters) -> Array:
@@ -106,8 +96,11 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     unlike the lines' light is; the limb correction; the unseen part of the end.
     """
     m, k = fitted.weight.shape
+    sure = [usual(prior)[1] for prior in (any_shape(p.prior), p.prior)]
+    H = information(fitted.seen, fitted.weight, np.where(fitted.shaped[:, None], *sure))
+    of_ends = np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
     # how ends move with each edge (m, 3, k), mm a px
-    gain = (_moves(fitted) * fitted.weight[..., None]) @ _of_ends(fitted, p)
+    gain = (_moves(fitted) * fitted.weight[..., None]) @ of_ends
     gain = np.ascontiguousarray(gain.transpose(0, 2, 1))
     optical = 2 * len(FINE_OUTLINE.part)
     sd = np.where(fitted.weight > 0, fitted.seen.sd_px, 0.0)
@@ -169,98 +162,84 @@ def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> A
 
 
 class Term(NamedTuple):
-    """What makes an end unsure in a ``way``, mm or, along the line of sight, px of disparity, or in
-    standard deviations of the prior of a number that edges leave open; a learned factor.
+    """What makes an end unsure in a ``way``: a share of the standard deviation that its edges give,
+    or that the fits of its place have between them (``doubtful``: the more so, the less the odds);
+    mm or, along the line of sight, px of disparity. A learned factor.
     """
 
-    way: Literal["along", "across", "sight", "radius", "taper", "height"]
+    way: Literal["edges", "between", "doubtful", "along", "across", "sight"]
     of: Callable[[Fits], Array]
-
-
-def _unseen(f: Fits) -> Array:
-    return np.asarray(1.0 - f.of.end[:, :2].mean(axis=1))
-
-
-def _beyond(f: Fits) -> Array:
-    return np.asarray(np.maximum(f.thermal[:, [SIDE_A, SIDE_B]].max(axis=1), 0.0))
-
-
-def _short(f: Fits) -> Array:
-    return np.asarray(1.0 - f.of.side.max(axis=1))
 
 
 def _one(f: Fits) -> Array:
     return np.ones(len(f.teats))
 
 
+def _short(f: Fits) -> Array:
+    return np.asarray(1.0 - f.of.side.max(axis=1))
+
+
+def _warm_beside(f: Fits) -> Array:
+    """The share of its worse side that the thermal picture doesn't show, as beside warm things."""
+    return np.asarray(1.0 - f.of.both[:, 2])
+
+
+def _in_depth(f: Fits) -> Array:
+    """How much more than across a fit of one side leans in depth."""
+    across, depth = np.abs(f.teats[:, [LEAN_X, LEAN_Z]]).T
+    return np.asarray(one_sided(f) * np.maximum(depth - across, 0.0))
+
+
 # standard deviations, a unit of the factor
 TERMS: dict[str, Term] = {
+    "edges": Term("edges", _one),
+    "edges, misfit": Term("edges", lambda f: f.of.misfit_px),
+    "between fits": Term("between", _one),
+    "between fits, doubtful": Term("doubtful", _one),
     "along, misfit of the end": Term("along", lambda f: f.of.end_misfit_px),
-    "along, misfit of the end squared": Term("along", lambda f: f.of.end_misfit_px**2),
     "along, misfit of the end, unlike a ball": Term(
         "along", lambda f: f.of.end_misfit_px * f.teats[:, RADIUS] * np.abs(f.teats[:, HEIGHT] - 1)
     ),
     "along, misfit of the end, of any shape": Term(
         "along", lambda f: f.of.end_misfit_px * f.of.shaped
     ),
-    "along, end in part and not warm": Term("along", lambda f: _unseen(f) * (1.0 - f.of.end[:, 2])),
-    "along, end in part and sides go on": Term("along", lambda f: _unseen(f) * f.of.goes_on_mm),
     "along, led to by its sides and not warm": Term(
         "along", lambda f: f.of.followed * (1.0 - f.of.end[:, 2])
     ),
-    "along, led to by its sides, misfit of the end": Term(
-        "along", lambda f: f.of.followed * f.of.end_misfit_px
+    "along, one side and leaning in depth": Term("along", _in_depth),
+    "across, one side and leaning in depth": Term("across", _in_depth),
+    "across, one side, radius off the usual squared": Term(
+        "across", lambda f: one_sided(f) * f.off_usual**2
     ),
-    "along, misfit of the end and not warm": Term(
-        "along", lambda f: f.of.end_misfit_px * (1.0 - f.of.end[:, 2])
-    ),
-    "along, short sides": Term("along", _short),
-    "across, misfit squared": Term("across", lambda f: f.of.misfit_px**2),
-    "across, misfit of the end, of any shape": Term(
-        "across", lambda f: f.of.end_misfit_px * f.of.shaped
-    ),
-    "across, unlike a ball": Term(
-        "across", lambda f: f.teats[:, RADIUS] * np.abs(f.teats[:, HEIGHT] - 1)
-    ),
-    "across, one side and misfit": Term("across", lambda f: one_sided(f) * f.of.misfit_px),
-    "across, one side and warmth beyond": Term("across", lambda f: one_sided(f) * _beyond(f)),
-    "across, one side, of any shape": Term("across", lambda f: one_sided(f) * f.of.shaped),
-    "across, of any shape": Term("across", lambda f: f.of.shaped.astype(float)),
-    "sight, misfit squared": Term("sight", lambda f: f.of.misfit_px**2),
-    "sight, one side and misfit": Term("sight", lambda f: one_sided(f) * f.of.misfit_px),
-    "sight, widths unlike": Term("sight", lambda f: np.minimum(f.of.width_px, 1.0)),
-    "sight, thermal outline aside": Term("sight", aside),
+    "across, taper": Term("across", lambda f: np.abs(f.teats[:, TAPER])),
+    "across, short sides": Term("across", _short),
+    "across, warm beside it": Term("across", _warm_beside),
+    "sight, one side and leaning in depth": Term("sight", _in_depth),
     "sight, short sides": Term("sight", _short),
-    "radius of the prior": Term("radius", _one),
-    "taper of the prior": Term("taper", _one),
-    "taper of the prior, radius off the usual": Term("taper", lambda f: f.off_usual),
-    "height of the prior": Term("height", _one),
-    "along, outside of a teat's size": Term("along", lambda f: f.off_size),
-    "along, leaning more than a teat": Term("along", lambda f: f.too_steep),
-    "sight, leaning more than a teat": Term("sight", lambda f: f.too_steep),
+    "sight, warm beside it": Term("sight", _warm_beside),
 }
 
 
-def variance_terms(fits: Fits, held_mm: Array, calibration: Calibration) -> Array:
-    """Vectors (m, k, 3) of `TERMS`, the fits' frame, of fits and what `held` says of them."""
+def variance_terms(
+    own: Array, between: Array, odds: Array, fits: Fits, calibration: Calibration
+) -> Array:
+    """Of `TERMS`, (m, k, 3, 3), the fits' frame: of fits of log ``odds`` (m,) the covariances by
+    their edges, ``own``, and ``between`` the fits of a place.
+    """
     axis, ends = axes(fits.teats), apexes(fits.teats)
     distance = np.linalg.norm(ends, axis=1, keepdims=True)
     sight = ends / distance
     across = np.cross(axis, sight)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     px = disparities_px(ends, calibration)[:, None]
-    by = {"along": axis, "across": across, "sight": sight * distance / px}
-    by |= dict(zip(HELD, held_mm.transpose(2, 0, 1), strict=True))
-    every = (by[term.way] * np.asarray(term.of(fits))[:, None] for term in TERMS.values())
+    moves = {"along": axis, "across": across, "sight": sight * distance / px}
+    by = {way: np.einsum("mi,mj->mij", move, move) for way, move in moves.items()}
+    by |= {"edges": own, "between": between}
+    by["doubtful"] = between / (1.0 + np.exp(odds))[:, None, None]
+    every = (by[t.way] * np.square(t.of(fits))[:, None, None] for t in TERMS.values())
     return np.stack(list(every), axis=1)
 
 
-def stated(
-    own: Array, fits: Fits, held_mm: Array, learned: Learned, calibration: Calibration
-) -> Array:
-    """(m, 3, 3) mm^2 of ends, the fits' frame: ``own`` by their edges, and what was learned of
-    fits that show as much and whose priors hold as much.
-    """
-    factors = in_order(learned.factors, TERMS)
-    moves = variance_terms(fits, held_mm, calibration) * factors[:, None]
-    return np.asarray(learned.edges**2 * own + np.einsum("mki,mkj->mij", moves, moves))
+def stated(terms: Array, learned: Learned) -> Array:
+    """(m, 3, 3) mm^2 of ends by what was learned, of `variance_terms`."""
+    return np.asarray(np.einsum("mkij,k->mij", terms, in_order(learned.factors, TERMS) ** 2))

@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.fused.covariances import end_covariances, held, stated, unaliased, world_covariances
+from detector.fused.covariances import (
+    end_covariances,
+    stated,
+    unaliased,
+    variance_terms,
+    world_covariances,
+)
 from detector.fused.decide import Decision, Fits, decide, means
 from detector.fused.depth_search import (
     Map,
@@ -96,7 +102,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "29"  # counted up when an answer on any frame set changes
+    version: str = "30"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -414,14 +420,13 @@ def _answers(
     own = own + end_covariances(fitted, p)
     unstated = unstated_covariances(ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
-    rest = turned.R @ between @ turned.R.T
-    rest += disagreement_covariances(cameras, ends, calibration, p)
+    rest = disagreement_covariances(cameras, ends, calibration, p)
     rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
-    priors = held(fitted, p)
-    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own, "held": priors}
+    odds, fits = judged.decision.odds[rows], Fits(teats, evidence, p.prior)
+    terms = variance_terms(own, between, odds, fits, calibration)
+    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "terms": terms}
     trace.append(Stage("answers", shown | {"rest": turned.R.T @ (unstated + rest) @ turned.R}))
-    fits = Fits(teats, evidence, p.prior)
-    own = turned.R @ stated(own, fits, priors, LEARNED, calibration) @ turned.R.T + rest
+    own = turned.R @ stated(terms, LEARNED) @ turned.R.T + rest
     covariances = world_covariances(own + unstated, ends, calibration)
     pixels = *calibration.project(world), scene.thermal.px(found)
     answers = tuple(Teat(*each) for each in zip(world, covariances, *pixels, strict=True))

@@ -20,15 +20,14 @@ FILE = Path(__file__).with_name("learned.json")
 @dataclass(frozen=True, slots=True)
 class Learned:
     """``weights`` and ``bias`` of log odds by measure, and what is ``usual`` of right fits; the
-    ``least`` odds of what is given; of standard deviations the factor of what ``edges`` say, and
-    ``factors`` by term; the ``limits`` of measures by which fits are tried again.
+    ``least`` odds of what is given; ``factors`` of standard deviations by term; the ``limits`` of
+    measures by which fits are tried again.
     """
 
     weights: Mapping[str, float]
     usual: Mapping[str, float]
     bias: float
     least: float
-    edges: float
     factors: Mapping[str, float]
     limits: Mapping[str, float]
 
@@ -42,8 +41,12 @@ def in_order(by_name: Mapping[str, float], names: Iterable[str]) -> Array:
 def learned() -> Learned:
     """What the product ships with."""
     table = json.loads(FILE.read_text(encoding="utf-8"))
-    odds, spread = table["odds"], table["spread"]
+    odds = table["odds"]
     return Learned(
-        odds["weights"], odds["usual"], odds["bias"], odds["least"],
-        spread["edges"], spread["terms"], table["limits"],
-    )  # fmt: skip
+        odds["weights"],
+        odds["usual"],
+        odds["bias"],
+        odds["least"],
+        table["spread"],
+        table["limits"],
+    )
