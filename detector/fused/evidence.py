@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from detector.fused.refine import ROUND_MM, side_stops
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion, or_zero
 from detector.outline.edges import CLEAR
-from detector.outline.fine import FINE_OUTLINE, Fitted
+from detector.outline.fine import FINE_OUTLINE, FINE_STEPS, Fitted, trusted
 from detector.outline.fit import CameraView
 from detector.outline.model import END, RADIUS, SIDE_A, SIDE_B, Rows, axes
 from detector.outline.offsets import row_offsets
@@ -69,6 +69,11 @@ def weigh(
     is cold and warm in the picture, ``levels`` (2,).
     """
     seen, part = fitted.seen, FINE_OUTLINE.part
+    # a half that all pictures leave out, as a neighbour may be there, is looked at all the same
+    half = fitted.hidden[:, 2 * len(part) :].any(axis=1) & ~fitted.shaped
+    if half.any():
+        hidden = fitted.hidden & ~half[:, None]
+        fitted = replace(fitted, hidden=hidden, weight=trusted(seen, hidden, FINE_STEPS))
     m, n = len(fitted.weight), len(part)
     offset, weight, sd = (
         np.where(np.isnan(a), 9.0, a).reshape(m, -1, n)

@@ -56,8 +56,8 @@ def fine(
         hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
     seen = look(teats, views, FINE_OUTLINE, fine=True) if seen is None else seen
     for number in range(first, first + steps):
-        teats = stepped(teats, seen, _trusted(seen, hidden, number), prior, views, fine=True)
-    weight = _trusted(seen, hidden, first + steps)
+        teats = stepped(teats, seen, trusted(seen, hidden, number), prior, views, fine=True)
+    weight = trusted(seen, hidden, first + steps)
     no = np.zeros(len(teats), dtype=bool)
     return Fitted(teats, seen, weight, hidden, no, no)
 
@@ -83,9 +83,9 @@ def stepped(
     return moved
 
 
-def _trusted(seen: OutlineEdges, hidden: NDArray[np.bool_], number: int) -> Array:
+def trusted(seen: OutlineEdges, hidden: NDArray[np.bool_], number: int) -> Array:
     """Weights (m, k) in the fine pass; after its first step only sides that both pictures show,
-    where nothing hides them. What only one shows is likely another thing's outline.
+    where nothing of them is ``hidden``. What only one shows is likely another thing's outline.
     """
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:

@@ -647,7 +647,7 @@ def trusted(
     of_end: int,
     limits: Array,
 ) -> None:
-    """The last part of `fine._trusted`: takes from ``weight`` (m, k) what is doubtful. Points of
+    """The last part of `fine.trusted`: takes from ``weight`` (m, k) what is doubtful. Points of
     a side and an end; ``limits``: `fine._LIMITS`.
     """
     close_floors, least_side, least_alone, most_other = limits
