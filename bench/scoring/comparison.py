@@ -195,7 +195,8 @@ def sign_flip_p(differences: Floats, seed: int = 0) -> float:
     n = len(values)
     if n == 0:
         return 1.0
-    seen = abs(float(values.sum())) * (1.0 - 1e-12)
+    total = float(values.sum())
+    seen = abs(total) * (1.0 - 1e-12)
     if 2**n <= FLIPS:
         signs = 1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1)
         return float(np.mean(np.abs(signs @ values) >= seen))
@@ -204,7 +205,7 @@ def sign_flip_p(differences: Floats, seed: int = 0) -> float:
     rng, extreme, left = np.random.default_rng(seed), 0, FLIPS
     while left:
         rows = min(left, max(1, BATCH // n))
-        sums = (1.0 - 2.0 * rng.integers(0, 2, (rows, n), dtype=np.int8)) @ values
+        sums = total - 2.0 * (rng.integers(0, 2, (rows, n), dtype=np.int8) @ values)
         extreme, left = extreme + int((np.abs(sums) >= seen).sum()), left - rows
     return (extreme + 1) / (FLIPS + 1)
 
