@@ -315,11 +315,12 @@ class Banner:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """What a trial's own file shows of the trial alone, as HTML: switches of its layers, its body,
-    the style rules of its views; and the image files that it names.
+    """What a trial's own file shows of the trial alone, as HTML: switches of its layers, its
+    opening, its body, the style rules of its views; and the image files that it names.
     """
 
     switches: str
+    opening: str
     body: str
     rules: str
     files: tuple[str, ...]

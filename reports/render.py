@@ -79,7 +79,8 @@ class TrialRenderer:
         shown = layers(trial.images)
         switches = self._parts.layer_switches(shown) if shown else ""
         files = dict.fromkeys(path for image in trial.images for path in image.files)
-        return Drawn(str(switches), str(self._parts.trial_body(trial)), rules, tuple(files))
+        opening, body = self._parts.trial_opening(trial, 1), self._parts.trial_body(trial)
+        return Drawn(str(switches), str(opening), str(body), rules, tuple(files))
 
 
 def _outward(href: str) -> str:
@@ -133,7 +134,7 @@ class Renderer:
             body = drawn.body
             if "glossary" not in apart:
                 body = body.replace(f'href="../{GLOSSARY}#', 'href="../index.html#')
-            texts = Markup(drawn.switches), Markup(body)  # noqa: S704 our own
+            texts = map(Markup, (drawn.switches, drawn.opening, body))  # our own
             text = around.file(trial, *near, *texts, *self._styled(drawn.rules))
             yield f"{trial.id}.html", str(text)
 
