@@ -9,12 +9,7 @@ from typing import Any
 from bench.api.loading import AnyRig, AnyScript, load_rig, load_script
 from bench.config import all_of, wrong_use
 from bench.rig.loading import LoadedRig
-from bench.run.estimate import (
-    ASSUMED,
-    UNITS,
-    TimeEstimate,
-    estimate,
-)
+from bench.run.estimate import ASSUMED, UNITS, TimeEstimate, estimate
 from bench.scoring import sample_size
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import POSE_KEYS, pose_set

@@ -119,7 +119,7 @@ class Measure(NamedTuple):
     witness: bool = False
 
 
-def aside(f: Fits) -> Array:
+def _aside(f: Fits) -> Array:
     """How far the thermal outline lies to one side, sensor px: of a wrong depth."""
     sides = f.of.thermal_px[:, [SIDE_A, SIDE_B]]
     return np.asarray(0.5 * np.abs(or_zero(sides[:, 0] - sides[:, 1])))
@@ -168,7 +168,7 @@ MEASURES: dict[str, Measure] = {
     "thermal outline within, px": Measure(-2, 0, ELSEWHERE, lambda f: f.thermal.min(axis=1), True),
     "thermal end beyond, px": Measure(0, 1.5, ELSEWHERE, lambda f: f.thermal[:, END], True),
     "thermal outline beyond, px": Measure(0, 1, ELSEWHERE, _all_beyond, True),
-    "thermal outline aside, px": Measure(0, 1, ELSEWHERE, aside, True),
+    "thermal outline aside, px": Measure(0, 1, ELSEWHERE, _aside, True),
     "thermal parts without an outline": Measure(
         0, 3, COLD, lambda f: np.isnan(f.of.thermal_px).sum(axis=1)
     ),

@@ -41,12 +41,4 @@ def in_order(by_name: Mapping[str, float], names: Iterable[str]) -> Array:
 def learned() -> Learned:
     """What the product ships with."""
     table = json.loads(FILE.read_text(encoding="utf-8"))
-    odds = table["odds"]
-    return Learned(
-        odds["weights"],
-        odds["usual"],
-        odds["bias"],
-        odds["least"],
-        table["spread"],
-        table["limits"],
-    )
+    return Learned(**table["odds"], factors=table["spread"], limits=table["limits"])

@@ -39,9 +39,11 @@ def run(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> RunReco
     short = read_run(folder)
     shutil.rmtree(folder / "report")
     text = [short.trials[k % len(short.trials)] for k in range(TRIALS)]
+    # each of a pose of its own, as drawn scenes are
     heads = [
-        {**trial.head, "number": k, "id": f"{k:04d}-{trial.pose}"}
+        {**trial.head, "number": k, "name": name, "id": f"{k:04d}-{name}"}
         for k, trial in enumerate(text, 1)
+        for name in [f"{trial.pose}-{k}"]
     ]
     return replace(
         short,

@@ -60,9 +60,11 @@ def test_some_are_drawn_here_and_some_there(
     """The first here waits until the process has begun; it waits with its second for that."""
 
     def chapter(first: int) -> Iterator[Part]:
-        for number in range(first, first + 4):
-            figure = Figure(latency_strip([0.1 * number], [1.0], name=f"strip-{number}"), "", "")
-            yield figure if number % 2 else Fold("", (Fold("", (figure,)),))
+        one, *inner, last = (
+            Figure(latency_strip([0.1 * number], [1.0], name=f"strip-{number}"), "", "")
+            for number in range(first, first + 4)
+        )
+        yield from (one, Fold("", (Fold("", tuple(inner)),)), last)
 
     alone = finished(chain(chapter(1), chapter(5)), None)
     begun, drew, asked = threading.Event(), threading.Event(), list[Any]()
