@@ -89,6 +89,7 @@ _COLOURED = {
 _TAG = re.compile(r"<(/?)([A-Za-z]+)([^<>]*?)(/?)>")
 _ATTRIBUTE = re.compile(r'([\w:-]+)="([^"]*)"')
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-?\d+)?")
+_PAD = 0.4  # about axes, in font sizes
 _FEWEST_ALIKE = 4  # marks, for which it is worth while to say once what they share
 _MARK = r'<use class="{0}" href="{1}" (?:x="[^"]*" y="[^"]*"){2}/>'
 _MARKS = re.compile(
@@ -153,7 +154,7 @@ def draw(plot: Plot) -> str:
         # matplotlib's font only measures the text here; the page's font draws it, and may well have
         # the letter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure = Figure(figsize=inches, dpi=FigureCanvasSVG.fixed_dpi, layout="constrained")
+        figure = Figure(figsize=inches, dpi=FigureCanvasSVG.fixed_dpi)
         _Canvas(figure)
         if nothing:
             look: dict[str, Any] = {"ha": "center", "va": "center", "color": COLOURS["muted"]}
@@ -162,16 +163,7 @@ def draw(plot: Plot) -> str:
         else:
             with suppress(StopIteration):
                 plot.send(figure)
-        # Place the axes now; `savefig` would draw the whole figure an additional time for it
-        for axes in figure.axes:
-            axes.apply_aspect()
-            for axis in (axes.xaxis, axes.yaxis):
-                if not axis.get_label_text():  # else its place is looked for among the ticks
-                    axis.set_label_coords(0.5, 0.5)
-        engine = figure.get_layout_engine()
-        if figure.axes and engine is not None:
-            engine.execute(figure)
-        figure.set_layout_engine(None)  # one that stays, "none" too, has it drawn twice
+        _lay_out(figure)
         written = io.StringIO()
         figure.savefig(
             written,
@@ -188,6 +180,31 @@ def draw(plot: Plot) -> str:
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
     return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place the axes below the legend and above the figure's texts: their surroundings are measured
+    once, as "constrained" does it twice, and `savefig` would draw the figure for it once more.
+    """
+    if not figure.axes:
+        return
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.get_label_text():  # else its place is looked for among the ticks
+                axis.set_label_coords(0.5, 0.5)
+    low, high = (
+        max((one.get_window_extent().height for one in of), default=0.0) / figure.bbox.height
+        for of in (figure.texts, figure.legends)
+    )
+    equal = [axes for axes in figure.axes if axes.get_aspect() != "auto"]
+    for axes in equal:
+        axes.set_aspect("auto")  # of equal scales it leaves room that is taken afterwards
+    figure.tight_layout(pad=_PAD)
+    for axes in equal:
+        axes.set_aspect("equal")
+    room = figure.subplotpars
+    figure.subplots_adjust(bottom=room.bottom + low, top=room.top - high)
+    figure.set_layout_engine(None)  # one that stays, "none" too, has it drawn twice
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
