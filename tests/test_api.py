@@ -197,7 +197,10 @@ HEAVY = {"numpy", "cv2", "pydantic", "typing", "pytest", "hypothesis"}
         ("bench.api.runs", {"scipy.special"}),
         ("bench.api.loading", {"bench.run", "bench.results", "bench.rig.opening", "pymodbus"}),
         ("bench.api.planning", {"bench.run.engine", "bench.rig.opening", "pymodbus"}),
-        ("bench.api.dry_runs", {"bench.api.runs", "bench.results.comparison", "numba", "jinja2"}),
+        (
+            "bench.api.dry_runs",
+            {"bench.api.runs", "bench.results.comparison", "numba", "jinja2", "pymodbus"},
+        ),
     ],
 )
 def test_an_import_loads_nothing_heavy(module: str, heavy: set[str]) -> None:

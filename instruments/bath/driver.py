@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 from instruments.bath.access import RowAnswer
 from instruments.bath.line_access import LineAccess
@@ -21,17 +21,20 @@ from instruments.bath.profile import (
     PUMP,
     WATCHDOG,
     LineProfile,
+    ModbusDevice,
     Profile,
     RegisterProfile,
     RelayProfile,
 )
 from instruments.bath.reading import BathReading, ChangedError
-from instruments.bath.register_access import RegisterAccess
 from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.link import Tap
+
+if TYPE_CHECKING:
+    from instruments.bath.register_access import RegisterAccess
 
 FUTILE_S = 20.0
 SAFE_TRIES = 3
@@ -39,7 +42,6 @@ HEATS_NOT = (PUMP, WATCHDOG)  # rows whose writing heats nothing
 DISPLAY_K = 0.5  # how far a display may be from what came over the wire
 
 T = TypeVar("T")
-Rows = LineAccess | RegisterAccess
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,22 +84,20 @@ class OwnBath:
         self.profile = _with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
         self._lock = threading.RLock()
-        self._rows: Rows
+        self._rows: LineAccess | RegisterAccess
         who, inferred = self.who, allow_inferred
         match profile:
             case LineProfile():
                 self._rows = LineAccess(url, profile, clock, who, inferred, tap)
             case RegisterProfile():
-                self._rows = RegisterAccess(url, profile, clock, who, inferred, tap)
+                self._rows = _registers(url, profile, clock, who, inferred, tap)
         self._rows.unit_confirmed = unit_confirmed
         self._wire = self._rows.wire
         self._relay: RegisterAccess | None = None
         if pump:  # on the controller's link where it is on the same line, and that is Modbus
-            beside = self._rows.wire if isinstance(self._rows, RegisterAccess) else None
+            beside = None if isinstance(self._rows, LineAccess) else self._rows.wire
             who = f"pump at {pump.url}"
-            self._relay = RegisterAccess(
-                pump.url, pump.profile, clock, who, inferred, pump.tap, beside
-            )
+            self._relay = _registers(pump.url, pump.profile, clock, who, inferred, pump.tap, beside)
         self._identity: Mapping[str, str] = {}
         self.before_heating: Callable[[], None] = lambda: None
         self.on_reading: Callable[[BathReading], None] = lambda _: None
@@ -378,7 +378,7 @@ class OwnBath:
         self._check_running(reading)
         return reading
 
-    def _after_poll(self, row: Quantity) -> Rows:
+    def _after_poll(self, row: Quantity) -> LineAccess | RegisterAccess:
         """The rows; for one in degC after a poll, since the order of bytes may have changed."""
         if row.unit == "degC":
             self._rows.poll()
@@ -397,6 +397,13 @@ class OwnBath:
         if why:
             self._started = reading.running is not False  # or a person has to start it anew
             raise DeviceError(self.who, why, asked="run", seen=seen, hint="Start it anew.")
+
+
+def _registers(url: str, profile: ModbusDevice, *args: Any) -> RegisterAccess:
+    """For a Modbus device alone: pymodbus takes a while to load."""
+    from instruments.bath.register_access import RegisterAccess
+
+    return RegisterAccess(url, profile, *args)
 
 
 def _with_pump(profile: Profile, pump: RelayProfile) -> Profile:
