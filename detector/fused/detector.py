@@ -62,7 +62,7 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
-_MAYBE_END, _SOME_END = 4.0, 0.7  # odds below what is given, thermal score, of what has a sentence
+_MAYBE_END, _SOME_END = 4.0, 0.6  # odds below what is given, thermal score, of what has a sentence
 LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 # glibc keeps freed memory up to twice the largest block that was freed. Without this one the kernel

@@ -29,6 +29,12 @@ CLEAR = 60.0  # of an edge beyond doubt: 7.7 standard deviations
 LEAST_CLEAR = 18.0  # of an edge that may count: 4.2 standard deviations
 _DOUBT = 0.45  # neighbours share shadows and texture too: together they must be the clearer
 _MOST_LIMB_PX = 0.8
+_LIMB_NEIGHBOURS = 9  # points along an outline that are lit alike: some 20 mm
+# how far one line's own may be from that of its neighbours (standard deviation), as a share of it
+_UNLIKE = 0.5
+_PLAIN_PX = 0.02  # standard deviation of a step's place without a fall of brightness
+_SHADED_PX = 0.06  # the same with one
+_LIGHT = np.array([_MOST_LIMB_PX, _LIMB_NEIGHBOURS, _UNLIKE, _PLAIN_PX, _SHADED_PX])
 _FINE = 0.05  # px, the grid on which the bases are blurred
 
 
@@ -94,13 +100,12 @@ def sample(
     field: Field, middles_px: Array, normals: Array, offsets_px: Array, into: Field | None = None
 ) -> Field:
     """Intensities (n, s) at ``offsets_px`` along ``normals`` from ``middles_px``; NaN outside."""
-    steps = offsets_px.astype(np.float32)
-    x, y = (steps * way[:, None] for way in normals.astype(np.float32).T)
-    inside = np.ones(len(x), dtype=bool)
-    for along, start, size in zip((x, y), middles_px.T, field.shape[::-1], strict=True):
-        along += start.astype(np.float32)[:, None]
-        first, last = along[:, 0], along[:, -1]
-        inside &= (np.minimum(first, last) >= 1) & (np.maximum(first, last) <= size - 2)
+    ways = np.stack([normals.T, middles_px.T], axis=-1, dtype=np.float32)
+    steps = np.stack([offsets_px, np.ones_like(offsets_px)], dtype=np.float32)
+    x, y = maps = ways @ steps
+    last = np.array(field.shape[::-1])[:, None, None] - 2
+    rims = maps[:, :, [0, -1]]
+    inside = ((rims >= 1) & (rims <= last)).all(axis=(0, 2))
     lines = np.asarray(cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=into), dtype=np.float32)
     lines[~inside] = np.nan
     return lines
@@ -125,31 +130,7 @@ def find_edges(lines: Field, profile: Profile, noise: Array) -> list[Array]:
     )  # fmt: skip
     beyond = np.isnan(lines[..., 0]).swapaxes(0, 1)
     found[0, 0, beyond], found[2, 0, beyond] = np.nan, 0.0
-    light = _light_alike(*found.swapaxes(0, 1)) if profile.limb else np.zeros((2, m, views, n))
+    light = np.zeros((2, m, views, n))
+    if profile.limb:
+        package.kernels.light_alike(found, _LIGHT, light)
     return [edge.reshape(m, views * n) for edge in (*found[:, 0], *light)]
-
-
-_LIMB_NEIGHBOURS = 9  # points along an outline that are lit alike: some 20 mm
-# how far one line's own may be from that of its neighbours (standard deviation), as a share of it
-_UNLIKE = 0.5
-_PLAIN_PX = 0.02  # standard deviation of a step's place without a fall of brightness
-_SHADED_PX = 0.06  # the same with one
-
-
-def _light_alike(plain: Array, shaded: Array) -> tuple[Array, Array]:
-    """``limb_px`` and ``unlike_px`` (m, views, n) by edges (3, m, views, n) of plain steps and of
-    shaded ones, and the plain ones corrected: neighbours along an outline, in all pictures, are lit
-    alike.
-    """
-    (offset, sd, _), away = plain, plain[0] - shaded[0]
-    known = np.abs(away) < _MOST_LIMB_PX
-    every = np.stack([np.where(known, away, 0.0), known]).sum(axis=2)
-    total, count = scipy.ndimage.uniform_filter1d(every, _LIMB_NEIGHBOURS, mode="nearest")
-    limb = (total / np.maximum(count, 0.5 / _LIMB_NEIGHBOURS))[:, None]
-    unlike2 = (_UNLIKE * limb) ** 2 + _PLAIN_PX**2
-    noise2 = np.maximum(sd**2 - shaded[1] ** 2, 0.0)
-    own = unlike2 / (unlike2 + noise2 + _SHADED_PX**2)
-    unlike = np.where(known, (1.0 - own) * (away - limb), 0.0)
-    sd[:] = np.where(known, np.sqrt(sd**2 - (1.0 - own**2) * noise2), sd)
-    offset -= unlike
-    return np.repeat(limb, away.shape[1], axis=1), unlike

@@ -354,6 +354,40 @@ def edges(
             _with_neighbours(left, straight, grid, floor, many, joining, result)
 
 
+@_compiled("void(f8[:,:,:,:,::1],f8[::1],f8[:,:,:,::1])")
+def light_alike(edges: Array, limits: Array, light: Array) -> None:
+    """Fills ``limb_px`` and ``unlike_px`` (2, m, views, n) of `edges.find_edges` by edges (3, 2, m,
+    views, n) of plain steps and of shaded ones, and corrects the plain ones: neighbours along an
+    outline, in all pictures, are lit alike.
+    """
+    most_px, neighbours, unlike_share, plain_px, shaded_px = limits
+    _, _, m, views, n = edges.shape
+    half, total, known = int(neighbours) // 2, np.empty(n), np.empty(n)
+    for i in range(m):
+        for j in range(n):
+            total[j] = known[j] = 0.0
+            for v in range(views):
+                away = edges[0, 0, i, v, j] - edges[0, 1, i, v, j]
+                if abs(away) < most_px:
+                    total[j], known[j] = total[j] + away, known[j] + 1.0
+        for j in range(n):
+            added = counted = 0.0
+            for k in range(j - half, j + half + 1):
+                near = min(max(k, 0), n - 1)
+                added, counted = added + total[near], counted + known[near]
+            limb = added / max(counted, 0.5)
+            unlike = (unlike_share * limb) ** 2 + plain_px**2
+            for v in range(views):
+                light[0, i, v, j] = limb
+                away, sd = edges[0, 0, i, v, j] - edges[0, 1, i, v, j], edges[1, 0, i, v, j]
+                if abs(away) < most_px:
+                    noise = max(sd**2 - edges[1, 1, i, v, j] ** 2, 0.0)
+                    own = unlike / (unlike + noise + shaded_px**2)
+                    light[1, i, v, j] = (1 - own) * (away - limb)
+                    edges[0, 0, i, v, j] -= light[1, i, v, j]
+                    edges[1, 0, i, v, j] = np.sqrt(sd**2 - (1 - own**2) * noise)
+
+
 @_within
 def _gradient(
     above: Field, here: Field, below: Field, before: int, at: int, after: int
