@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
+from detector.fused import depth_search, refine, witness
 from detector.fused.covariances import (
     end_covariances,
     stated,
@@ -23,29 +24,10 @@ from detector.fused.covariances import (
     world_covariances,
 )
 from detector.fused.decide import Decision, Fits, decide, means
-from detector.fused.depth_search import (
-    Map,
-    best_starts,
-    depths_mm,
-    hypotheses,
-    of_teats,
-    sweep_bars,
-    sweep_ends,
-)
 from detector.fused.evidence import Evidence, warmth_across, weigh
 from detector.fused.learned import learned
 from detector.fused.left_out import left_out, outside, unsure_ends
 from detector.fused.parameters import Parameters
-from detector.fused.refine import (
-    one_sided,
-    refine,
-    refine_beside,
-    refine_slid,
-    shaped_again,
-    slide_to_round,
-    slide_to_stop,
-    without_lines,
-)
 from detector.fused.refits import doubts, shapes, unsure, whole_ends
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
@@ -58,18 +40,10 @@ from detector.fused.thermal import (
     strengths,
     unexplained,
 )
-from detector.fused.witness import (
-    Agreement,
-    agreement,
-    disagreement,
-    disagreement_covariances,
-    unstated_covariances,
-    with_cameras_off,
-)
 from detector.geometry import Array, Camera
 from detector.history import predicted
 from detector.outline import pictures
-from detector.outline.fine import Fitted, fine
+from detector.outline.fine import Fitted
 from detector.outline.fit import CameraView, upright
 from detector.outline.model import COUNT, apexes, axes
 from detector.outline.offsets import thermal_offsets_far
@@ -88,7 +62,7 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
-_MAYBE_END, _SOME_END = 4.0, 0.7  # odds below what is given, thermal score, of what has a sentence
+_MAYBE_END, _SOME_END = 4.0, 0.6  # odds below what is given, thermal score, of what has a sentence
 LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 # glibc keeps freed memory up to twice the largest block that was freed. Without this one the kernel
@@ -148,7 +122,9 @@ class FusedDetector:
                 if _as_expected(again, answer, expected):
                     answer, expected = again, predicted(context, again.teats)
             answer = replace(answer, predicted=tuple(expected.values()))
-        return with_cameras_off(answer, context.cameras, calibration) if context.cameras else answer
+        if context.cameras:
+            answer = witness.with_cameras_off(answer, context.cameras, calibration)
+        return answer
 
 
 def _as_expected(more: Detection, less: Detection, expected: Mapping[int, Teat]) -> bool:
@@ -263,10 +239,10 @@ def _detect(
     which = decision.accepted or np.flatnonzero(decision.by_witness).tolist()
     far_px = _far_px(judged, thermal.view)
     some, size = judged.fitted.take(which), thermal.px_a_sensor_px
-    cameras = agreement(some, far_px, calibration, p, size)
+    cameras = witness.agreement(some, far_px, calibration, p, size)
     shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
     trace.append(Stage("decisions", shown))
-    if wrong := disagreement(cameras, judged.fitted, calibration):
+    if wrong := witness.disagreement(cameras, judged.fitted, calibration):
         raise pictures.UnusableError(wrong)
     fitted = judged.fitted.take(decision.accepted)
     edges = sharpness(fitted, scene.views[:2])
@@ -306,19 +282,17 @@ def _fit(teats: Array, scene: _Scene) -> _Judged:
     """
     views, p, limits = scene.views, scene.p, LEARNED.limits
     judged = _from_starts(teats, scene)
-    more = list[Fitted]()
     bridging, shifted = doubts(*judged.each, limits, p)
-    if bridging:
-        starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
-        more.append(fine(starts, left_out, views, p.prior))
-    if shifted:
-        slid = [s(judged.fitted.teats[shifted], views) for s in (slide_to_round, slide_to_stop)]
-        more.append(refine_slid(np.concatenate(slid), views, p))
+    more = [
+        again(judged.fitted.teats[rows], views, p)
+        for rows, again in ((bridging, refine.one_sided), (shifted, refine.along_sides))
+        if rows
+    ]
     if more:
         judged = scene.judged(reduce(add, more), judged)
     if unlike := shapes(*judged.each, limits, p):
         usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)
-        again = shaped_again(judged.fitted.take(unlike), views, p)
+        again = refine.shaped_again(judged.fitted.take(unlike), views, p)
         rest = replace(
             judged, fitted=judged.fitted.take(usual), evidence=judged.evidence.take(usual)
         )
@@ -326,10 +300,10 @@ def _fit(teats: Array, scene: _Scene) -> _Judged:
     # what goes on beyond the end is no side of a teat, but a rod's or a leg's line
     lines = judged.evidence.lines_mm > limits["side goes on, mm"]
     if rows := [i for i in judged.decision.accepted if lines[i].any()]:
-        again = without_lines(judged.fitted.take(rows), lines[rows], views, p.prior)
+        again = refine.without_lines(judged.fitted.take(rows), lines[rows], views, p.prior)
         judged = scene.judged(again, judged)
     if rows := unsure(*judged.each, limits, p):
-        beside = refine_beside(judged.fitted.take(rows), views, p, scene.calibration)
+        beside = refine.from_beside(judged.fitted.take(rows), views, p, scene.calibration)
         judged = scene.judged(beside, judged)
     return judged
 
@@ -340,7 +314,7 @@ def _from_starts(teats: Array, scene: _Scene) -> _Judged:
     """
     judged, p, counted = None, scene.p, LEARNED.limits["thermal end, counted"]
     for some in (teats[: p.first_starts], teats[p.first_starts :]):
-        fitted = refine(some, scene.views, p, judged.fitted if judged else None)
+        fitted = refine.refine(some, scene.views, p, judged.fitted if judged else None)
         if fitted is None:
             continue
         judged = scene.judged(fitted, judged)
@@ -383,20 +357,24 @@ def _start(
     trace.append(Stage("thermal", {"warmth": warm, **shown}))
     if len(ends) + len(upright) == 0:
         raise pictures.UnusableError("the thermal picture shows nothing like a teat")
-    depth_mm, down = depths_mm(calibration, thermal.depths_mm), thermal.sought.down
+    depth_mm, down = depth_search.depths_mm(calibration, thermal.depths_mm), thermal.sought.down
     from_thermal = thermal.view.camera_from_teats.inverse()
     of_ends, of_bars = (
-        hypotheses(n, thermal.lens, thermal.px_a_sensor_px, from_thermal, depth_mm, down)
+        depth_search.hypotheses(
+            n, thermal.lens, thermal.px_a_sensor_px, from_thermal, depth_mm, down
+        )
         for n in (ends, upright)
     )
     above = of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0]
-    guesses = np.concatenate([teats[of_teats(teats, p)] for teats in (of_ends, above, of_bars)])
+    guesses = np.concatenate(
+        [teats[depth_search.of_teats(teats, p)] for teats in (of_ends, above, of_bars)]
+    )
     views = optical_views(left, right, calibration, guesses, noise=1.0)
-    maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
-    coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
-    by_end = sweep_ends(of_ends, ends.score, maps, p)
-    by_sides = sweep_bars(of_bars, upright.score, maps, coarse, p)
-    teats = best_starts(by_end, by_sides, maps, p)
+    maps = tuple(depth_search.Map.of(view, _OPTICAL_BLUR_PX) for view in views)
+    coarse = depth_search.Map.of(thermal.view, _THERMAL_BLUR_PX)
+    by_end = depth_search.sweep_ends(of_ends, ends.score, maps, p)
+    by_sides = depth_search.sweep_bars(of_bars, upright.score, maps, coarse, p)
+    teats = depth_search.best_starts(by_end, by_sides, maps, p)
     teats = teats if more is None else np.concatenate([more, teats])
     trace.append(Stage("starts", {"teats": teats}))
     near = optical_views(left, right, calibration, teats) if len(teats) else views
@@ -404,7 +382,7 @@ def _start(
 
 
 def _answers(
-    judged: _Judged, cameras: Agreement, edges: Sharpness, scene: _Scene, trace: list[Stage]
+    judged: _Judged, cameras: witness.Agreement, edges: Sharpness, scene: _Scene, trace: list[Stage]
 ) -> tuple[tuple[Teat, ...], list[str]]:
     """Accepted ends with covariances, the calibration's included, and their pixels; and what is
     said of unsure ones.
@@ -418,9 +396,9 @@ def _answers(
     ends, down = turned.apply(found), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
     own = own + end_covariances(fitted, p)
-    unstated = unstated_covariances(ends, calibration, p)
+    unstated = witness.unstated_covariances(ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
-    rest = disagreement_covariances(cameras, ends, calibration, p)
+    rest = witness.disagreement_covariances(cameras, ends, calibration, p)
     rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
     odds, fits = judged.decision.odds[rows], Fits(teats, evidence, p.prior)
     terms = variance_terms(own, between, odds, fits, calibration)

@@ -121,7 +121,7 @@ _BESIDE = ((1.5, 0.0), (-1.5, 0.0), (0.0, 0.3), (0.0, -0.3))  # mm across, px of
 _SHORT_MM = 26.0  # of the sides of a teat that stands 35 mm out of an udder
 
 
-def refine_beside(
+def from_beside(
     fitted: Fitted, views: tuple[CameraView, ...], p: Parameters, calibration: Calibration
 ) -> Fitted:
     """The teats fitted again from either side of where they are, and from in front and behind:
@@ -162,15 +162,16 @@ def shaped_again(fitted: Fitted, views: tuple[CameraView, ...], p: Parameters) -
     return replace(fitted, shaped=every) + replace(found, shaped=every)
 
 
-def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Two starts for each teat (m, 8), each with one side and half the end; and what is left out.
-    Where teats touch, the other side is the neighbour's.
+def one_sided(teats: Array, views: tuple[CameraView, ...], p: Parameters) -> Fitted:
+    """Two fits for each teat (m, 8), each of one side and half the end: where teats touch, the
+    other side is the neighbour's.
     """
     starts = np.repeat(teats[None], 2, axis=0)
     starts[..., CX] += np.array([[-1.0], [1.0]]) * (starts[..., RADIUS] - p.prior.radius_mm)
     starts[..., RADIUS], starts[..., TAPER] = p.prior.radius_mm, 0.0
     lost = np.repeat([[False, True], [True, False]], len(teats), axis=0)
-    return starts.reshape(-1, COUNT), _points(np.repeat(lost[:, None], views, axis=1))
+    left_out = _points(np.repeat(lost[:, None], len(views), axis=1))
+    return fine(starts.reshape(-1, COUNT), left_out, views, p.prior)
 
 
 def _points(sides: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -187,8 +188,9 @@ def without_lines(
     return fine(fitted.teats, left_out, views, prior)
 
 
-def refine_slid(slid: Array, views: tuple[CameraView, ...], p: Parameters) -> Fitted:
-    """Fits from ``slid`` (n, 8), followed up their sides."""
+def along_sides(teats: Array, views: tuple[CameraView, ...], p: Parameters) -> Fitted:
+    """Fits of teats (m, 8), their ends followed up their sides in two ways."""
+    slid = np.concatenate([slide_to_round(teats, views), slide_to_stop(teats, views)])
     tight = replace(p.prior, height_sd=_SHAPE * p.prior.height_sd)
     more = fine(slid, None, views, tight)
     return replace(more, followed=np.ones(len(slid), dtype=bool))

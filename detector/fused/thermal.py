@@ -209,7 +209,7 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0, border:
     noise's. With a ``border`` of zeros.
     """
     smooth: Field = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur_px), dtype=np.float32)
-    steep = steepness(smooth, second=False)
+    steep = steepness(smooth)
     rows, columns = smooth.shape
     found = np.zeros((rows + 2 * border, columns + 2 * border, 2), dtype=np.float32)
     kernels.squeezed(smooth, np.float32(max(noises * median(steep), 1e-6)), border, found)

@@ -29,10 +29,13 @@ CLEAR = 60.0  # of an edge beyond doubt: 7.7 standard deviations
 LEAST_CLEAR = 18.0  # of an edge that may count: 4.2 standard deviations
 _DOUBT = 0.45  # neighbours share shadows and texture too: together they must be the clearer
 _MOST_LIMB_PX = 0.8
+_LIMB_NEIGHBOURS = 9  # points along an outline that are lit alike: some 20 mm
+# how far one line's own may be from that of its neighbours (standard deviation), as a share of it
+_UNLIKE = 0.5
+_PLAIN_PX = 0.02  # standard deviation of a step's place without a fall of brightness
+_SHADED_PX = 0.06  # the same with one
+_LIGHT = np.array([_MOST_LIMB_PX, _LIMB_NEIGHBOURS, _UNLIKE, _PLAIN_PX, _SHADED_PX])
 _FINE = 0.05  # px, the grid on which the bases are blurred
-# products of steps of both kinds add up within 53 bits
-_LEVELS = 11  # steps of a noise's standard deviation
-_BASES = 2.0**24  # steps of the bases
 
 
 @dataclass(frozen=True)
@@ -64,19 +67,12 @@ class Profile:
 
     @cached_property
     def rows(self) -> Array:
-        """Orthonormal bases (c * g, s) of what a step at each place may look like, without the
-        level, which all have in common.
+        """Orthonormal bases (c * g + 1, s) of what a step at each place may look like, without the
+        level, which all have in common; and of lines without an edge, a slope.
         """
         bases = np.stack([np.linalg.qr(self._shapes(place))[0][:, 1:] for place in self.places])
         rows = bases.transpose(2, 0, 1).reshape(-1, len(self.offsets))
-        return np.ascontiguousarray(_rounded(rows, _BASES))
-
-    @cached_property
-    def flat(self) -> Array:
-        """Orthonormal basis (c, s) of lines without an edge: a level and a slope."""
-        columns = [np.ones_like(self.offsets), self.offsets]
-        basis = np.linalg.qr(np.column_stack(columns))[0].T
-        return np.ascontiguousarray(_rounded(basis, _BASES))
+        return np.vstack([rows, self.offsets / np.linalg.norm(self.offsets)])
 
     @cached_property
     def pull(self) -> Field:
@@ -93,11 +89,6 @@ class Profile:
         return np.column_stack(columns)
 
 
-def _rounded(values: Array, steps: Array | float) -> Array:
-    """To whole ``steps`` a unit."""
-    return np.asarray(np.rint(values * steps) / steps)
-
-
 def _blurred_root(depth: Array, blur: float) -> Array:
     """sqrt(max(depth, 0)) after a Gaussian blur."""
     t = np.arange(-4 * blur, 4 * blur + _FINE / 2, _FINE)
@@ -105,42 +96,24 @@ def _blurred_root(depth: Array, blur: float) -> Array:
     return np.asarray(np.sqrt(np.clip(depth[:, None] - t, 0, None)) @ (weight / weight.sum()))
 
 
-def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -> Field:
+def sample(
+    field: Field, middles_px: Array, normals: Array, offsets_px: Array, into: Field | None = None
+) -> Field:
     """Intensities (n, s) at ``offsets_px`` along ``normals`` from ``middles_px``; NaN outside."""
-    lines: Field = np.empty((len(middles_px), len(offsets_px)), dtype=np.float32)
-    places = middles_px[None], normals[None], np.zeros(1, dtype=np.intp), 0, len(middles_px)
-    sample_into(lines[None], [field], np.array([[0.0, 0.0, *field.shape]]), places, offsets_px)
+    ways = np.stack([normals.T, middles_px.T], axis=-1, dtype=np.float32)
+    steps = np.stack([offsets_px, np.ones_like(offsets_px)], dtype=np.float32)
+    x, y = maps = ways @ steps
+    last = np.array(field.shape[::-1])[:, None, None] - 2
+    rims = maps[:, :, [0, -1]]
+    inside = ((rims >= 1) & (rims <= last)).all(axis=(0, 2))
+    lines = np.asarray(cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=into), dtype=np.float32)
+    lines[~inside] = np.nan
     return lines
 
 
-def sample_into(
-    lines: Field,
-    fields: list[Field],
-    regions: Array,
-    places: tuple[Array, Array, NDArray[np.intp], int, int],
-    offsets_px: Array,
-) -> None:
-    """`sample` into ``lines`` (views, n, s) of fields that are ``regions`` (views, 4): the first
-    pixel's place, rows and columns. ``places``: middles and normals (., k, 2), which rows of these,
-    and of each the first and how many a view.
-    """
-    x, y, inside = np.empty_like(lines), np.empty_like(lines), np.empty(lines.shape[:2], dtype=bool)
-    package.kernels.places(places, regions, offsets_px, (x, y), inside)
-    for each in zip(fields, x, y, lines, strict=True):
-        cv2.remap(*each[:3], cv2.INTER_CUBIC, dst=each[3])
-    lines[~inside] = np.nan
-
-
-def find_edges(
-    lines: Field,
-    profile: Profile,
-    noise: Array,
-    which: NDArray[np.intp],
-    first: int,
-    edges: tuple[Array, ...],
-) -> None:
+def find_edges(lines: Field, profile: Profile, noise: Array) -> list[Array]:
     """The likeliest edge of each line (views, m, n, s): m outlines of n neighbouring lines, noise
-    (views,): into rows ``which`` (m,), from column ``first`` on, of five arrays (., k):
+    (views,): five arrays (m, views * n):
     ``offset_px`` outward (NaN: none); its standard deviation; ``clarity``: gain over a straight
     line, in residual variances (a chi-square); ``limb_px``: by how much brightness that falls
     towards the limb moved the edges hereabouts; ``unlike_px``: how much farther out a line's own
@@ -149,17 +122,15 @@ def find_edges(
     A line without a clear edge is joined with its neighbours' residuals, and its edge counts less
     for what they share.
     """
-    steps = np.ldexp(1.0, 1 + _LEVELS - np.frexp(noise)[1])  # an intensity, powers of two
+    views, m, n, _ = lines.shape
+    found = np.empty((3, 2 if profile.limb else 1, m, views, n))
     package.kernels.edges(
-        lines, np.ascontiguousarray(noise), steps, (profile.rows, profile.flat),
-        (profile.places, profile.pull, profile.grid_px), (_NEIGHBOURS, CLEAR, _DOUBT), LIGHT,
-        which, first, edges,
+        lines, noise, profile.rows, (profile.places, profile.pull, profile.grid_px),
+        (_NEIGHBOURS, CLEAR, _DOUBT), found,
     )  # fmt: skip
-
-
-_LIMB_NEIGHBOURS = 9  # points along an outline that are lit alike: some 20 mm
-# how far one line's own may be from that of its neighbours (standard deviation), as a share of it
-_UNLIKE = 0.5
-_PLAIN_PX = 0.02  # standard deviation of a step's place without a fall of brightness
-_SHADED_PX = 0.06  # the same with one
-LIGHT = np.array([_MOST_LIMB_PX, _LIMB_NEIGHBOURS, _UNLIKE, _PLAIN_PX, _SHADED_PX])
+    beyond = np.isnan(lines[..., 0]).swapaxes(0, 1)
+    found[0, 0, beyond], found[2, 0, beyond] = np.nan, 0.0
+    light = np.zeros((2, m, views, n))
+    if profile.limb:
+        package.kernels.light_alike(found, _LIGHT, light)
+    return [edge.reshape(m, views * n) for edge in (*found[:, 0], *light)]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from detector import outline as package
 from detector.calibration import Calibration
 from detector.geometry import Array, Camera, Motion
-from detector.outline.edges import LEAST_CLEAR, Field, Profile, find_edges, sample_into
+from detector.outline.edges import LEAST_CLEAR, Field, Profile, find_edges, sample
 from detector.outline.model import (
     COUNT,
     HEIGHT,
@@ -46,13 +46,12 @@ class CameraView:
     rough: Profile
     fine: Profile
     floor_px: float
-    # (27,): `model.numbers_of`, the first pixel's place, rows, columns and noise
+    # (24,): `model.numbers_of`, and the first pixel's place
     numbers: Array = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         numbers = numbers_of(self.camera, self.camera_from_teats)
-        region = *self.corner_px, *self.field.shape, self.noise
-        object.__setattr__(self, "numbers", np.concatenate([numbers, region]))
+        object.__setattr__(self, "numbers", np.concatenate([numbers, self.corner_px]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +96,7 @@ def look(
     the known ones' arrays; the Jacobian stays.
     """
     m, n = len(teats), len(outline.part)
+    rows = slice(None) if which is None else which  # a slice copies nothing
     which = np.arange(m) if which is None else which
     seen = OutlineEdges.empty(m, n, views) if known is None else known
     cameras = np.array([view.numbers for view in views])
@@ -107,15 +107,18 @@ def look(
     )  # fmt: skip
     first = 0
     for profile, group in groupby(views, lambda view: view.fine if fine else view.rough):
-        fields = [view.field for view in group]
-        alike = cameras[first : first + len(fields)]
+        alike, start = list(group), first
         lines = np.empty((len(alike), len(teats) * n, len(profile.offsets)), dtype=np.float32)
-        places = seen.pixels_px, seen.normals, which, first * n, n
-        sample_into(lines, fields, alike[:, 22:26], places, profile.offsets)
-        edges = seen.offset_px, seen.sd_px, seen.clarity, seen.limb_px, seen.unlike_px
+        for view, of_view in zip(alike, lines, strict=True):
+            at, first = slice(first, first + n), first + n
+            middles = (seen.pixels_px[rows, at] - view.corner_px).reshape(-1, 2)
+            normals = seen.normals[rows, at].reshape(-1, 2)
+            sample(view.field, middles, normals, profile.offsets, of_view)
         given = lines.reshape(len(alike), len(teats), n, -1)
-        find_edges(given, profile, alike[:, 26], which, first * n, edges)
-        first += len(fields)
+        noise = np.array([view.noise for view in alike])
+        edges = seen.offset_px, seen.sd_px, seen.clarity, seen.limb_px, seen.unlike_px
+        for of_all, found in zip(edges, find_edges(given, profile, noise), strict=True):
+            of_all[rows, start:first] = found
     return seen
 
 
@@ -129,12 +132,10 @@ _LIMITS = (  # of a step, and of teats after it: at least and at most
 
 def weights(seen: OutlineEdges, scale: float) -> Array:
     """Weights (m, k): by uncertainty, Cauchy beyond ``scale`` floors, zero with hardly an edge."""
-    found = np.empty_like(seen.offset_px)
-    package.kernels.weights(
-        seen.offset_px, seen.sd_px, seen.clarity, seen.floor_px, seen.jacobian, scale, LEAST_CLEAR,
-        found,
-    )  # fmt: skip
-    return found
+    variance = seen.sd_px**2 + seen.floor_px**2
+    off = seen.offset_px / np.sqrt(variance + (scale * seen.floor_px) ** 2)
+    usable = np.isfinite(off) & (seen.clarity > LEAST_CLEAR)
+    return np.where(usable, 1.0 / (variance * (1.0 + off**2)), 0.0)
 
 
 def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array]:

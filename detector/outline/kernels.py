@@ -2,8 +2,7 @@
 
 Compiled for one signature when this module is imported, and kept on disk (beside the module, else
 in the user's cache, or in NUMBA_CACHE_DIR). What is kept is as old as the file of a loop: so one
-file has all. No fast mathematics but for sums that are exact: others have numpy's order where it
-shows.
+file has all.
 
 No array is assigned to a slice: what numba would say of a wrong shape takes 2 s to compile. A loop
 fills arrays and gives back a number at most. A Ctrl-C that comes amid a loop is raised where
@@ -53,8 +52,8 @@ def _within(loop: Loop) -> Loop:
     return cast("Loop", numba.njit(error_model="numpy")(loop))
 
 
-def _exact(loop: Loop) -> Loop:
-    """The same, of sums that are exact in any order."""
+def _summing(loop: Loop) -> Loop:
+    """The same; its sums in any order."""
     return cast("Loop", numba.njit(error_model="numpy", fastmath={"contract", "reassoc"})(loop))
 
 
@@ -267,43 +266,26 @@ def _summed(values: Field, size: int, result: Field) -> None:
             total[i] += np.float64(values[last, i]) - np.float64(values[first, i])
 
 
-@_exact
-def _centred(line: Field, flat: Array, steps: float, y: Array) -> tuple[float, float, float]:
-    """Fills ``y`` with a line (s,) in whole ``steps`` about its mean; its energy, and its products
-    with ``flat`` (2, s).
-    """
-    s, mean = len(line), 0.0
-    for k in range(s):
-        mean += line[k]
-    mean /= s
-    unit = 1.0 / steps  # a power of two
-    for k in range(s):
-        y[k] = np.rint((line[k] - mean) * steps) * unit
-    energy = level = slope = 0.0
-    for k in range(s):
-        energy += y[k] * y[k]
-        level += y[k] * flat[0, k]
-        slope += y[k] * flat[1, k]
-    return energy, level, slope
-
-
-@_within
-def _left_over(
-    lines: Field, rows: Array, flat: Array, steps: float, left: Field, straight: Field
-) -> None:
+@_summing
+def _left_over(lines: Field, rows: Array, left: Field, straight: Field) -> None:
     """Of lines (n, s): fills residuals of steps (k, n, g), and of straight lines (n, 1)."""
     models, n, g = left.shape
-    y, sums = np.zeros(lines.shape), np.zeros((n, 3))
+    y = np.zeros(lines.shape)
     for j in range(n):
         if not np.isnan(lines[j, 0]):
-            sums[j, 0], sums[j, 1], sums[j, 2] = _centred(lines[j], flat, steps, y[j])
+            total = 0.0
+            for k in range(lines.shape[1]):
+                total += lines[j, k]
+            for k in range(lines.shape[1]):
+                y[j, k] = lines[j, k] - total / lines.shape[1]
     products = np.dot(y, rows.T)
     for j in range(n):
-        energy, level, slope = sums[j]
-        along, rest = products[j], energy - level * level
-        straight[j, 0] = max(energy - (level * level + slope * slope), 1e-6)
+        along, energy = products[j], 0.0
+        for k in range(lines.shape[1]):
+            energy += y[j, k] * y[j, k]
+        straight[j, 0] = max(energy - along[len(rows) - 1] ** 2, 1e-6)
         for q in range(g):
-            one = rest - along[q] * along[q]
+            one = energy - along[q] * along[q]
             left[models - 1, j, q] = max(one, 0.0)
             if models == 2:
                 a, b = along[g + q], along[2 * g + q]
@@ -343,87 +325,67 @@ def _with_neighbours(
             result[2, k, j] = min(doubt * joint[2, k, j], 0.9 * clear)
 
 
-@_within
-def _lit_alike(
-    light: Array, views: int, offset: Array, sd: Array, limb: Array, apart: Array
-) -> None:
-    """`edges.lit_alike` of one outline (views * n,); ``apart``: noise of a limb, then unlike."""
-    _, neighbours, unlike_share, plain_px, shaded_px = light
-    n, half = len(offset) // views, int(neighbours) // 2
-    total, known, own_px = np.zeros(n), np.zeros(n), limb.copy()
-    for v in range(views):
-        for j in range(n):
-            if np.isfinite(own_px[v * n + j]):
-                known[j] += 1.0
-                total[j] += own_px[v * n + j]
-    for j in range(n):
-        added = counted = 0.0
-        for i in range(j - half, j + half + 1):
-            near = min(max(i, 0), n - 1)
-            added, counted = added + total[near], counted + known[near]
-        shared = added / max(counted, 0.5)
-        unlike = (unlike_share * shared) ** 2 + plain_px**2
-        for v in range(views):
-            k = v * n + j
-            own = unlike / (unlike + apart[k] ** 2 + shaded_px**2)
-            limb[k], moved = shared, 0.0
-            if np.isfinite(own_px[k]):
-                moved = (1 - own) * (own_px[k] - shared)
-                sd[k] = np.sqrt(sd[k] ** 2 - (1 - own**2) * apart[k] ** 2)
-            offset[k] -= moved
-            apart[k] = moved
-
-
 @_compiled(
-    "void(f4[:,:,:,::1],f8[::1],f8[::1],UniTuple(f8[:,::1],2),Tuple((f8[::1],f4[::1],f8)),"
-    "Tuple((i8,f8,f8)),f8[::1],i8[::1],i8,UniTuple(f8[:,::1],5))"
+    "void(f4[:,:,:,::1],f8[::1],f8[:,::1],Tuple((f8[::1],f4[::1],f8)),Tuple((i8,f8,f8)),"
+    "f8[:,:,:,:,::1])"
 )
 def edges(
     lines: Field,
     noise: Array,
-    steps: Array,
-    bases: tuple[Array, Array],
+    rows: Array,
     grid: tuple[Array, Field, float],
     joining: tuple[int, float, float],
-    light: Array,
-    which: Ids,
-    first: int,
-    found: tuple[Array, ...],
+    found: Array,
 ) -> None:
-    """`edges.find_edges` of lines (views, m, n, s), NaN beyond a picture: fills rows ``which`` (m,)
-    of what is ``found`` (., k), from column ``first`` on. ``bases``: of steps (c * g, s) and of
-    straight lines; ``noise``, ``steps`` (views,); ``light``: `edges.LIGHT`.
+    """Edges of lines (views, m, n, s), NaN beyond a picture: fills offset, standard deviation and
+    clarity by each model (3, k, m, views, n). ``rows``: `Profile.rows`; ``noise`` (views,).
     """
-    (rows, flat), (places, _, _) = bases, grid
-    offset, sd, clarity, limb, apart = found
     views, m, n, s = lines.shape
-    g = len(places)
-    models = (len(rows) // g + 1) // 2
-    result, every = np.empty((3, models, n)), np.arange(n)
+    g, models = len(grid[0]), found.shape[1]
+    every = np.arange(n)
     left, straight = np.empty((models, n, g), dtype=_f4), np.empty((n, 1), dtype=_f4)
     for v in range(views):
         floor, many = _f4(s * noise[v] ** 2), _f4(s * joining[0])
         for i in range(m):
-            row = which[i]
-            _left_over(lines[v, i], rows, flat, steps[v], left, straight)
+            result = found[:, :, i, v]
+            _left_over(lines[v, i], rows, left, straight)
             for k in range(models):
                 _likeliest(left[k], straight, grid, floor, _f4(s), every, result[:, k])
             _with_neighbours(left, straight, grid, floor, many, joining, result)
-            for j in range(n):
-                c = first + v * n + j
-                offset[row, c], sd[row, c], clarity[row, c] = result[:, 0, j]
-                limb[row, c] = apart[row, c] = 0.0
-                if np.isnan(lines[v, i, j, 0]):
-                    offset[row, c], clarity[row, c] = np.nan, 0.0
-                if models == 2:
-                    away = offset[row, c] - result[0, 1, j]
-                    limb[row, c] = away if abs(away) < light[0] else np.nan
-                    more = result[1, 0, j] ** 2 - result[1, 1, j] ** 2
-                    apart[row, c] = np.sqrt(max(more, 0.0))
-    if models == 2:
-        for i in range(m):
-            row, at = which[i], slice(first, first + views * n)
-            _lit_alike(light, views, offset[row, at], sd[row, at], limb[row, at], apart[row, at])
+
+
+@_compiled("void(f8[:,:,:,:,::1],f8[::1],f8[:,:,:,::1])")
+def light_alike(edges: Array, limits: Array, light: Array) -> None:
+    """Fills ``limb_px`` and ``unlike_px`` (2, m, views, n) of `edges.find_edges` by edges (3, 2, m,
+    views, n) of plain steps and of shaded ones, and corrects the plain ones: neighbours along an
+    outline, in all pictures, are lit alike.
+    """
+    most_px, neighbours, unlike_share, plain_px, shaded_px = limits
+    _, _, m, views, n = edges.shape
+    half, total, known = int(neighbours) // 2, np.empty(n), np.empty(n)
+    for i in range(m):
+        for j in range(n):
+            total[j] = known[j] = 0.0
+            for v in range(views):
+                away = edges[0, 0, i, v, j] - edges[0, 1, i, v, j]
+                if abs(away) < most_px:
+                    total[j], known[j] = total[j] + away, known[j] + 1.0
+        for j in range(n):
+            added = counted = 0.0
+            for k in range(j - half, j + half + 1):
+                near = min(max(k, 0), n - 1)
+                added, counted = added + total[near], counted + known[near]
+            limb = added / max(counted, 0.5)
+            unlike = (unlike_share * limb) ** 2 + plain_px**2
+            for v in range(views):
+                light[0, i, v, j] = limb
+                away, sd = edges[0, 0, i, v, j] - edges[0, 1, i, v, j], edges[1, 0, i, v, j]
+                if abs(away) < most_px:
+                    noise = max(sd**2 - edges[1, 1, i, v, j] ** 2, 0.0)
+                    own = unlike / (unlike + noise + shaded_px**2)
+                    light[1, i, v, j] = (1 - own) * (away - limb)
+                    edges[0, 0, i, v, j] -= light[1, i, v, j]
+                    edges[1, 0, i, v, j] = np.sqrt(sd**2 - (1 - own**2) * noise)
 
 
 @_within
@@ -438,25 +400,18 @@ def _gradient(
     return _f4(0.125) * x, _f4(0.125) * y
 
 
-@_compiled("void(f4[:,::1],i8,b1,f4[:,::1])")
-def steepness(field: Field, every: int, second: bool, result: Field) -> None:
-    """Fills lengths of gradients, or sizes of ``second`` differences along both axes, at one pixel
-    of so many in either direction; the rim mirrors.
-    """
+@_compiled("void(f4[:,::1],i8,f4[:,::1])")
+def steepness(field: Field, every: int, result: Field) -> None:
+    """Fills lengths of gradients at one pixel of so many in either direction; the rim mirrors."""
     rows, columns = field.shape
     for i in range(len(result)):
         r = i * every
         above, here, below = field[abs(r - 1)], field[r], field[r + 1 if r + 1 < rows else r - 1]
         for j in range(result.shape[1]):
             c = j * every
-            p, q = abs(c - 1), c + 1 if c + 1 < columns else c - 1
-            if second:
-                bend = above[p] - _f4(2) * above[c] + above[q]
-                bend = bend - _f4(2) * here[p] + _f4(4) * here[c] - _f4(2) * here[q]
-                result[i, j] = abs(bend + below[p] - _f4(2) * below[c] + below[q])
-            else:
-                x, y = _gradient(above, here, below, p, c, q)
-                result[i, j] = np.sqrt(x * x + y * y)
+            after = c + 1 if c + 1 < columns else c - 1
+            x, y = _gradient(above, here, below, abs(c - 1), c, after)
+            result[i, j] = np.sqrt(x * x + y * y)
 
 
 @_compiled("void(f4[:,::1],f4,i8,f4[:,:,::1])")
@@ -571,72 +526,6 @@ def along_shapes(
             row /= _f4(k)
 
 
-@_within
-def _known(value: float, instead: float) -> float:
-    return instead if np.isnan(value) else value
-
-
-@_compiled(
-    "void(Tuple((f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8)),f8[:,:],f8[::1],UniTuple(f4[:,:,::1],2),"
-    "b1[:,::1])"
-)
-def places(
-    lines: tuple[Array, Array, Ids, int, int],
-    regions: Array,
-    offsets: Array,
-    found: tuple[Field, Field],
-    inside: NDArray[np.bool_],
-) -> None:
-    """Fills columns and rows (views, m * n, s) of samples along ``lines``: middles and normals,
-    which rows of these (m,), of each the first and how many a view; and which lines (views, m * n)
-    are in a picture. ``regions`` (views, 4): the first pixel's place, how many rows and columns.
-    """
-    (middles, normals, which, first, n), (x, y) = lines, found
-    _, count, s = x.shape
-    for v in range(len(regions)):
-        left, top, rows, columns = regions[v]
-        for j in range(count):
-            row, column = which[j // n], first + v * n + j % n
-            middle, normal = middles[row, column], normals[row, column]
-            right, down = _f4(_known(normal[0], 0.0)), _f4(_known(normal[1], 0.0))
-            start_x = _f4(_known(middle[0] - left, -1e4))
-            start_y = _f4(_known(middle[1] - top, -1e4))
-            across, along = x[v, j], y[v, j]
-            for k in range(s):
-                across[k] = start_x + _f4(offsets[k]) * right
-                along[k] = start_y + _f4(offsets[k]) * down
-            inside[v, j] = (
-                min(across[0], across[s - 1]) >= 1
-                and min(along[0], along[s - 1]) >= 1
-                and max(across[0], across[s - 1]) <= columns - 2
-                and max(along[0], along[s - 1]) <= rows - 2
-            )
-
-
-@_compiled("void(f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,:,::1],f8,f8,f8[:,::1])")
-def weights(
-    offset: Array,
-    sd: Array,
-    clarity: Array,
-    floor: Array,
-    jacobian: Array,
-    scale: float,
-    least_clear: float,
-    result: Array,
-) -> None:
-    """`fit.weights`: fills (m, k)."""
-    m, k = offset.shape
-    for i in range(m):
-        for j in range(k):
-            total, result[i, j] = offset[i, j], 0.0
-            for p in range(8):
-                total += jacobian[i, j, p]
-            if np.isfinite(total) and clarity[i, j] > least_clear:
-                variance = sd[i, j] ** 2 + floor[i, j] ** 2
-                off = offset[i, j] / np.sqrt(variance + (scale * floor[i, j]) ** 2)
-                result[i, j] = 1.0 / (variance * (1 + off**2))
-
-
 @_compiled("void(f8[:,::1],f8[:,::1],f8[:,::1],b1[:,::1],i8,i8,f8[::1])")
 def trusted(
     weight: Array,
@@ -745,5 +634,6 @@ def step(
         for p in range(8):
             too_long = max(too_long, abs(change[p]) / longest[p])
         for p in range(8):
-            value = teats[i, p] + _known(change[p] / too_long, 0.0)
+            moves = change[p] / too_long
+            value = teats[i, p] + (0.0 if np.isnan(moves) else moves)
             moved[i, p] = min(max(value, least[p]), most[p])

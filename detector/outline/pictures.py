@@ -19,6 +19,7 @@ from detector.protocol import Frames
 
 _GREY = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 _GROUPED = 0.01  # of differences that are one number: intensities are whole
+_SECOND = np.array([1.0, -2.0, 1.0])  # difference
 _EVERY = 3  # of so many pixels in either direction one tells of noise
 BARN_C = (-60.0, 150.0)  # the middle of a barn's picture; raw counts read as -191 degC
 
@@ -78,7 +79,8 @@ def noise_of(field: Field) -> float:
     """Robust noise sd of intensities, from second differences (Immerkaer 1996). Of whole grey
     levels the median is that of a step's share, so that it doesn't hang on the region's rim.
     """
-    second = steepness(field, second=True)
+    bent = cv2.sepFilter2D(field, cv2.CV_32F, _SECOND, _SECOND)
+    second = np.abs(bent[::_EVERY, ::_EVERY])
     middle = median(second)
     below, same = np.count_nonzero(second < middle), np.count_nonzero(second == middle)
     if same > _GROUPED * second.size:
@@ -86,12 +88,10 @@ def noise_of(field: Field) -> float:
     return max(middle / (0.6745 * 6.0), 0.05)
 
 
-def steepness(field: Field, *, second: bool) -> Field:
-    """Lengths of gradients, or sizes of ``second`` differences, in every third row and column:
-    enough for a median.
-    """
+def steepness(field: Field) -> Field:
+    """Lengths of gradients in every third row and column: enough for a median."""
     found = np.empty([-(-side // _EVERY) for side in field.shape], dtype=np.float32)
-    package.kernels.steepness(field, _EVERY, second, found)
+    package.kernels.steepness(field, _EVERY, found)
     return found
 
 

@@ -69,12 +69,8 @@ def test_gradients_are_those_of_opencv_up_to_the_rim(shape: tuple[int, int]) -> 
     y = cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
     length = np.hypot(x, y)
     steep = np.empty_like(picture[::3, ::3])
-    kernels.steepness(picture, 3, False, steep)
+    kernels.steepness(picture, 3, steep)
     assert np.allclose(steep, length[::3, ::3], rtol=1e-6)
-    kernels.steepness(picture, 3, True, steep)
-    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    second = np.abs(cv2.filter2D(picture, cv2.CV_32F, mask))
-    assert np.allclose(steep, second[::3, ::3], rtol=1e-6, atol=1e-4)
     found = np.zeros((shape[0] + 10, shape[1] + 10, 2), dtype=np.float32)
     kernels.squeezed(picture, np.float32(12.0), 5, found)
     expected = np.stack([x, y], axis=2) / (length + 12.0)[..., None]

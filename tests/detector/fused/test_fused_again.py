@@ -30,7 +30,7 @@ def test_first_starts_that_lead_nowhere_leave_the_rest(
         beside[:, CX] += 1e4  # in no picture
         return np.concatenate([beside, teats])
 
-    monkeypatch.setattr("detector.fused.detector.best_starts", beside_and_usual)
+    monkeypatch.setattr("detector.fused.depth_search.best_starts", beside_and_usual)
     assert len(find(udder).teats) == len(udder)
 
 

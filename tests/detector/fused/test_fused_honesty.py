@@ -7,6 +7,7 @@ path-traced ones are next door.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -130,6 +131,25 @@ def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:
         counts = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).counts
         assert counts.false == 0, one.family
         assert counts.matched == counts.visible, one.family
+
+
+def test_a_warm_end_that_is_missed_has_a_sentence() -> None:
+    """The thermal picture shows one end faintly: it went missing without a word."""
+    rig = load_rig(find_rig(None)).calibration
+    left_from_right, thermal_from_left = rig.right_from_left.inverse(), rig.thermal_from_left
+    lens = rig.thermal.lens
+    assert lens is not None
+    assert thermal_from_left is not None
+    (one,) = seen(("straw_and_legs",), (70022,), 3)
+    in_left = left_from_right.apply(rig.world_from_right.inverse().apply(one.ends_mm))
+    ends_px = lens.project(thermal_from_left.apply(in_left))
+    found = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
+    near = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).pairs
+    said = re.findall(r"at thermal \((-?\d+), (-?\d+)\)", one.answer.reason or "")
+    for j in np.flatnonzero(one.visible):
+        away = [np.hypot(*(ends_px[j] - [float(u), float(v)])) for u, v in said]
+        # 30 px of the delivered picture are some 8 of the sensor's, from the end to its middle
+        assert j in {of for _, of in near} or min(away, default=np.inf) < 30.0
 
 
 AN_ARMS_EDGE = pytest.mark.xfail(
