@@ -151,7 +151,6 @@ MEASURES: dict[str, Measure] = {
     "end, thermal": Measure(0, 1, END_UNSEEN, lambda f: f.of.end[:, 2]),
     "better side, thermal": Measure(0, 1, SIDE_UNSEEN, lambda f: f.of.side[:, 2]),
     "other side, mean of both": Measure(0, 1, SIDE_UNSEEN, lambda f: f.of.both[:, :2].mean(axis=1)),
-    "other side, thermal": Measure(0, 1, SIDE_UNSEEN, lambda f: f.of.both[:, 2]),
     "ends, one less the other": Measure(0, 1, UNLIKE, lambda f: np.ptp(f.of.end[:, :2], axis=1)),
     "width, one less the other, px": Measure(0, 1, UNLIKE, lambda f: f.of.width_px),
     "rows, right less left, px": Measure(0, 0.5, OUTLINE, lambda f: np.abs(f.of.rows_px)),
@@ -172,16 +171,21 @@ MEASURES: dict[str, Measure] = {
     "thermal parts without an outline": Measure(
         0, 3, COLD, lambda f: np.isnan(f.of.thermal_px).sum(axis=1)
     ),
-    "coolest line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 0] - f.usual),
+    "coolest line, to its middle one, K": Measure(
+        -6, 0, COLD, lambda f: f.lines[:, 0] - f.lines[:, 1]
+    ),
     "cooler than the usual teat, though seen, K": Measure(
         -_COOL_QUARTER_K, 0, COLD, _cool_though_seen
     ),
     "as cold as the surroundings, of the range": Measure(-0.1, 0.35, COLD, lambda f: f.of.in_range),
-    "as warm as the warmest, of the range": Measure(0.35, 0.7, COLD, lambda f: f.of.in_range),
+    "as warm as the warmest, of the range": Measure(0.35, 0.9, COLD, lambda f: f.of.in_range),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
     "radius off the usual, mm": Measure(0, 5, SIZE, lambda f: f.off_usual),
     "from the nearest whole end, mm": Measure(150, 250, APART, lambda f: f.apart_mm),
     "lean beyond the range": Measure(0, 0.5, LEANS, lambda f: f.too_steep),
+    "leaning and thinner than the usual, mm": Measure(
+        0, 3, LEANS, lambda f: f.lean * np.maximum(f.prior.radius_mm - f.teats[:, RADIUS], 0.0)
+    ),
     "ln of the end's height": Measure(
         0, 0.5, OUTLINE, lambda f: np.abs(np.log(f.teats[:, HEIGHT]))
     ),

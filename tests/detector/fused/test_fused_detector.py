@@ -52,7 +52,7 @@ def covariance(teat: Teat) -> Array:
 
 def test_it_is_a_detector() -> None:
     detector: Detector = FusedDetector()
-    assert (detector.name, detector.version) == ("fused", "30")
+    assert (detector.name, detector.version) == ("fused", "31")
     assert detector.parameters["prior"]["radius_mm"] == 11.0
     assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
