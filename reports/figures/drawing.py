@@ -89,7 +89,7 @@ _COLOURED = {
 _TAG = re.compile(r"<(/?)([A-Za-z]+)([^<>]*?)(/?)>")
 _ATTRIBUTE = re.compile(r'([\w:-]+)="([^"]*)"')
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-?\d+)?")
-_PAD = 0.4  # about axes, in font sizes
+_PAD, _GAP = 0.4, 4.0  # about axes, in font sizes; to what stands above or below them, points
 _FEWEST_ALIKE = 4  # marks, for which it is worth while to say once what they share
 _MARK = r'<use class="{0}" href="{1}" (?:x="[^"]*" y="[^"]*"){2}/>'
 _MARKS = re.compile(
@@ -193,7 +193,7 @@ def _lay_out(figure: Figure) -> None:
             if not axis.get_label_text():  # else its place is looked for among the ticks
                 axis.set_label_coords(0.5, 0.5)
     low, high = (
-        max((one.get_window_extent().height for one in of), default=0.0) / figure.bbox.height
+        max((one.get_window_extent().height + _GAP for one in of), default=0.0) / figure.bbox.height
         for of in (figure.texts, figure.legends)
     )
     equal = [axes for axes in figure.axes if axes.get_aspect() != "auto"]
