@@ -134,7 +134,9 @@ def weights(seen: OutlineEdges, scale: float) -> Array:
     """Weights (m, k): by uncertainty, Cauchy beyond ``scale`` floors, zero with hardly an edge."""
     variance = seen.sd_px**2 + seen.floor_px**2
     off = seen.offset_px / np.sqrt(variance + (scale * seen.floor_px) ** 2)
-    usable = np.isfinite(off) & (seen.clarity > LEAST_CLEAR)
+    # a slope that isn't known is so in all eight numbers
+    known = np.isfinite(off + seen.jacobian[..., 0])
+    usable = known & (seen.clarity > LEAST_CLEAR)
     return np.where(usable, 1.0 / (variance * (1.0 + off**2)), 0.0)
 
 

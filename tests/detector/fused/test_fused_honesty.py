@@ -19,6 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from bench.campaign.perturbations import Applied
+from bench.report.trials import project_all
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import rig_renderer
 from bench.scoring.matching import gate_mm, match
@@ -135,14 +136,9 @@ def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:
 
 def test_a_warm_end_that_is_missed_has_a_sentence() -> None:
     """The thermal picture shows one end faintly: it went missing without a word."""
-    rig = load_rig(find_rig(None)).calibration
-    left_from_right, thermal_from_left = rig.right_from_left.inverse(), rig.thermal_from_left
-    lens = rig.thermal.lens
-    assert lens is not None
-    assert thermal_from_left is not None
     (one,) = seen(("straw_and_legs",), (70022,), 3)
-    in_left = left_from_right.apply(rig.world_from_right.inverse().apply(one.ends_mm))
-    ends_px = lens.project(thermal_from_left.apply(in_left))
+    ends_px = project_all(load_rig(find_rig(None)).calibration, one.ends_mm)["thermal"]
+    assert ends_px is not None
     found = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
     near = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).pairs
     said = re.findall(r"at thermal \((-?\d+), (-?\d+)\)", one.answer.reason or "")

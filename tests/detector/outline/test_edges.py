@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from detector.outline import edges
 from detector.outline.edges import CLEAR, LEAST_CLEAR, Profile, sample
+from detector.outline.fit import OutlineEdges, weights
 from detector.outline.views import OPTICAL_FINE
 
 Lines = NDArray[np.float32]
@@ -131,3 +132,13 @@ def test_light_is_shared_by_views_and_neighbours() -> None:
     assert np.abs(found.limb_px).min() > 0.05
     plain = find_in(np.stack([steps(places, 60.0, 20.0, 1.0)] * 2), OPTICAL_FINE, 1.0)
     assert np.abs(plain.limb_px).mean() < 0.3 * np.abs(found.limb_px).mean()
+
+
+def test_an_edge_whose_slope_is_unknown_has_no_weight() -> None:
+    """As where it was behind a camera when slopes were taken."""
+    one, two = np.ones((1, 2)), np.full((1, 2), 100.0)
+    slopes = np.ones((1, 2, 8))
+    slopes[0, 1] = np.nan
+    none = np.zeros((1, 2, 2))
+    seen = OutlineEdges(0.1 * one, one, two, one, slopes, none, none, one, one)
+    assert (weights(seen, 2.0) > 0).tolist() == [[True, False]]
